@@ -31,7 +31,7 @@ from ehbench.vocabulary.fields import Value
 
 if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
-    from ehbench.sampling.pools import Pool
+    from ehbench.sampling.sample import Run
     from ehbench.stages.study import PreparedStudy
 
 RECIPES = shipped("recipes")
@@ -539,22 +539,23 @@ def studies() -> Iterator[Row]:
         assert isinstance(prepared, PreparedStudy)
         plan, count = prepared.plan, len(prepared.measures)
         pool = Processes(plan.opened, WORKERS, count)
-        yield from _overhead("here", pool, prepared)
+        yield from _overhead("here", pool.run, prepared)
         bundle = plan.bundle()
         yield Row("a study's files, sent once", len(pickle.dumps(bundle)) / 1e3, 1e3, "kB")
         with _workers() as address:
             if address:
-                yield from _overhead("on Dask", Cluster(Workers(address), bundle, count), prepared)
+                run = Cluster(Workers(address), bundle, count).run
+                yield from _overhead("on Dask", run, prepared)
         yield from _kept(prepared, Path(folder))
 
 
-def _overhead(where: str, pool: Pool, prepared: PreparedStudy) -> Iterator[Row]:
+def _overhead(where: str, run: Run, prepared: PreparedStudy) -> Iterator[Row]:
     """Of SAMPLES short trials, the share of the workers' time that went into anything else; counted
     from when every worker is at work.
     """
     design, came = prepared.design, []
     tasks = ((i, design.settings(i)) for i in range(SAMPLES))
-    for some in pool.run(tasks):
+    for some in run(tasks):
         came.append((time.perf_counter(), some))
     first = len(came) // 4
     wall = came[-1][0] - came[first][0]

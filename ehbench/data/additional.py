@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ehbench.config.recipe.columns import ColumnMap
 from ehbench.data.rates import Group, joined
-from ehbench.data.readers import SourceTable
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
@@ -59,23 +58,15 @@ def lateness(record: Record, path: Path, result: Record, other: AdditionalFile) 
 def with_additional(
     record: Record, path: Path, others: Sequence[tuple[AdditionalFile, Record, float]]
 ) -> Record:
-    """A log with the channels of additional files, its time counting on as in ``path``, its own
-    file. The fastest file gives the time base, as the fastest table of a file does.
-
-    Args:
-        record: the log.
-        path: its file.
-        others: file, record and lateness [s] of each additional one.
+    """A log with the channels of ``others``: file, record and lateness [s] of each additional one.
+    Its time counts on as in ``path``, its own file. The fastest file gives the time base, as the
+    fastest table of a file does.
 
     Raises:
         InputError: a file has a channel that is there already, or no sample at the log's time.
     """
-
-    def group(file: Path, item: Record, late: float) -> Group:
-        table = SourceTable(file.name, ())
-        return Group(table, item.t + late, None, channels=dict(item.channels))
-
-    groups, losses = [group(path, record, 0.0)], list(record.losses)
+    groups = [Group(path.name, record.t, channels=dict(record.channels))]
+    losses = list(record.losses)
     rates = [record.meta["rates"]] if "rates" in record.meta else []
     for other, result, late in others:
         there = {name for item in groups for name in item.channels}
@@ -94,7 +85,7 @@ def with_additional(
             fields = {"log": path.name, "there": _ends(record, 0.0), "here": _ends(result, late)}
             text = message("data.no_common_time", zones=zones, **fields)
             raise InputError(text, file=other.path)
-        groups.append(group(other.path, result, late))
+        groups.append(Group(other.path.name, t, channels=dict(result.channels)))
         losses += [f"{other.path.name}: {loss}" for loss in result.losses]
         rates += [result.meta["rates"]] if "rates" in result.meta else []
     t, channels, brought = joined(groups, losses)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -42,14 +43,9 @@ DAYS = ("d", "day", "days")  # units of a time that spreadsheets count
 def read_mapped(
     path: Path, columns: ColumnMap | None, check: bool = True, window: Window | None = None
 ) -> Record:
-    """A log of any format that is read, by a map of its columns; without one, of the columns that
-    are named as channels.
-
-    Args:
-        path: the file.
-        columns: which column is which channel.
-        check: refuse bad samples, or leave them out, as the map says.
-        window: [s] only what lies inside is checked.
+    """A log of any format that is read, by a map of its columns, which says whether bad samples are
+    refused or left out; without one, of the columns that are named as channels. Other arguments as
+    in `ehbench.data.read`.
 
     Raises:
         LogError: no such column, no time, a bad sample inside of the window.
@@ -64,10 +60,8 @@ def read_mapped(
     groups = mapping.groups()
     losses = [*mapping.overruled(), *(note for group in groups for note in _rate_note(group))]
     of_text = source.dialect.separator is not None  # tables below one another
-    used = (
-        {index for index, _ in mapping.places.values()} if of_text else {*range(len(source.tables))}
-    )
-    for index, table in enumerate(source.tables):
+    used = {index for index, _ in mapping.places.values()}
+    for index, table in enumerate(source.tables if of_text else ()):
         if index not in used:
             fields = {"table": table.name, "line": (table.lines or [0])[0]}
             losses.append(message("data.unused_table", **fields))
@@ -160,16 +154,16 @@ def si_of(
 
 @dataclass(frozen=True)
 class _Mapping:
-    """A file under its map; ``places`` are the (table, column) of each name of the map."""
+    """A file under its map."""
 
     path: Path
     columns: ColumnMap
     source: Source
-    places: dict[str, tuple[int, int]] = field(init=False)
 
-    def __post_init__(self) -> None:
-        places = {name: self.source.place(name, self.path) for name in self.columns.columns.names}
-        object.__setattr__(self, "places", places)
+    @cached_property
+    def places(self) -> dict[str, tuple[int, int]]:
+        """(table, column) of each name of the map."""
+        return {name: self.source.place(name, self.path) for name in self.columns.columns.names}
 
     def groups(self) -> list[Group]:
         """The mapped channels in SI, those of one table and one rate together: by the rows in which
@@ -195,14 +189,11 @@ class _Mapping:
                 group = group.taken(np.flatnonzero(np.any(filled, axis=0)))
             names = list(group.channels)
             parts = apart([group.columns[name] for name in names])
-            results += (
-                [group]
-                if len(parts) == 1
-                else [
-                    group.taken(np.flatnonzero(rows), [names[at] for at in places])
-                    for places, rows in parts
-                ]
-            )
+            if len(parts) == 1:
+                results.append(group)
+                continue
+            for places, rows in parts:
+                results.append(group.taken(np.flatnonzero(rows), [names[at] for at in places]))
         return results
 
     def _time_of(self, name: str) -> str:
@@ -275,7 +266,8 @@ class _Mapping:
         if good.size and (moment := since_1970(float(good[0]), days)) is not None:
             began, t = moment, t - good[0]
         daytime = table.daytime if began is None else None
-        return Group(table, t, began, daytime, stamped=stamped, resolution=step)
+        about = {"stamped": stamped, "resolution": step}
+        return Group(table.name, t, table.lines, began, daytime, **about)
 
 
 def _rate_note(group: Group) -> list[str]:
@@ -308,7 +300,7 @@ def _without_repeats(group: Group, losses: list[str]) -> Group:
 def _check_time(group: Group, path: Path, window: Window | None) -> None:
     """Refuse a time that stands still or goes back inside of the window."""
     inside = np.flatnonzero(in_window(group.t, window))
-    lines = None if group.table.lines is None else [group.table.lines[int(at)] for at in inside]
+    lines = None if group.lines is None else [group.lines[int(at)] for at in inside]
     try:
         check_time(group.t[inside], file=path, lines=lines)
     except LogError as error:

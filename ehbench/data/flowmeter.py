@@ -146,10 +146,8 @@ class LeftOut:
         return tuple(f"{at}: {error.message}" for at, (_, error) in zip(places, self.errors))
 
     def sentences(self, retained: Sequence[str]) -> tuple[str, ...]:
-        """A note for each file on the readings of it that are left out.
-
-        Args:
-            retained: the valve of each reading that is not.
+        """A note for each file on the readings of it that are left out; ``retained`` has the valve
+        of each reading that is not.
 
         Raises:
             InputError: they are too many of a valve's readings to be slips.
@@ -167,9 +165,8 @@ class LeftOut:
         notes = []
         for name, errors in files.items():
             first = "; ".join(f"line {error.line}: {error.message}" for error in errors[:4])
-            more = (
-                f"; lines {others}" if (others := listed((e.line for e in errors[4:]), 12)) else ""
-            )
+            others = listed((error.line for error in errors[4:]), 12)
+            more = f"; lines {others}" if others else ""
             fields = {"readings": plural(len(errors), "reading"), "first": first, "more": more}
             notes.append(message("data.readings_left_out", name=name, **fields))
         return tuple(notes)
@@ -477,10 +474,6 @@ def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS
     }
-    return FlowmeterData(
-        warnings=tuple(text for part in parts for text in part.warnings),
-        losses=tuple(text for part in parts for text in part.losses),
-        details=tuple(text for part in parts for text in part.details),
-        units=parts[0].units,
-        **arrays,
-    )
+    for name in ("warnings", "losses", "details"):
+        arrays[name] = tuple(text for part in parts for text in getattr(part, name))
+    return FlowmeterData(**arrays, units=parts[0].units)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ehbench.data.readers import SourceColumn, SourceTable
+from ehbench.data.readers import SourceColumn
 from ehbench.data.record import Window, resampled
 from ehbench.signals.timestamps import missing_rows
 from ehbench.vocabulary.messages import message
@@ -45,15 +45,17 @@ SETTINGS = RateSettings()
 
 @dataclass
 class Group:
-    """The channels of one table at one rate: its time [s], wall clock of t = 0 [s since 1970] and
-    time of day [s], its channels in SI and the columns they are from.
+    """The channels of one table at one rate: the table's name, the lines of its rows in a text
+    file, its time [s], wall clock of t = 0 [s since 1970] and time of day [s], its channels in SI
+    and the columns they are from.
 
     ``stamped`` [s] are stamps of rows that a rate counts instead; ``resolution`` [s] is what times
     are rounded to."""
 
-    table: SourceTable
+    name: str
     t: np.ndarray
-    began: float | None
+    lines: Sequence[int] | None = None
+    began: float | None = None
     daytime: float | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
     columns: dict[str, SourceColumn] = field(default_factory=dict)
@@ -70,27 +72,20 @@ class Group:
     @property
     def title(self) -> str:
         """The table by its name, else its first channels."""
-        return f"table '{self.table.name}'" if self.table.name else listed(self.channels)
+        return f"table '{self.name}'" if self.name else listed(self.channels)
 
     def line(self, row: int) -> int | None:
         """The line of a row in a text file, None in any other."""
-        return None if self.table.lines is None else self.table.lines[int(row)]
+        return None if self.lines is None else self.lines[int(row)]
 
     def taken(self, rows: np.ndarray, channels: Sequence[str] | None = None) -> Group:
         """The same group with some of its rows, by number, and channels."""
         names = list(self.channels) if channels is None else channels
+        lines = None if self.lines is None else [self.lines[int(row)] for row in rows]
+        values = {name: self.channels[name][rows] for name in names}
         columns = {name: self.columns[name].taken(rows) for name in names}
-        lines = self.table.lines
-        lines = None if lines is None else [lines[int(row)] for row in rows]
-        return Group(
-            replace(self.table, columns=tuple(columns.values()), lines=lines, words={}),
-            self.t[rows],
-            self.began,
-            self.daytime,
-            {name: self.channels[name][rows] for name in names},
-            columns,
-            resolution=self.resolution,
-        )
+        about = self.name, self.t[rows], lines, self.began, self.daytime
+        return Group(*about, values, columns, resolution=self.resolution)
 
 
 def in_window(t: np.ndarray, window: Window | None) -> np.ndarray:
@@ -118,7 +113,7 @@ def is_bad(channel: str, values: np.ndarray, travel: float | None = None) -> np.
 
 def lines_text(group: Group, at: np.ndarray) -> str:
     """The lines of some rows of a text file, in brackets; '' of any other file."""
-    if group.table.lines is None:
+    if group.lines is None:
         return ""
     return f" (line{'s' * (at.size > 1)} {listed(map(group.line, at))})"
 

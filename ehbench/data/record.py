@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.signals.series import block_averages
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import label, plural, shown, table
@@ -118,10 +119,8 @@ class Record:
         return name == "t" or name in self.channels
 
     def table(self, columns: Sequence[tuple[str, float | None]]) -> np.ndarray:
-        """Channels side by side, shape (samples, columns).
-
-        Args:
-            columns: channels, each with the value [SI] of one that there is not.
+        """Channels side by side, shape (samples, columns), each with the value [SI] of one that
+        there is not.
 
         Raises:
             LogError: no such channel, where there is no value for it.
@@ -193,14 +192,6 @@ def resampled(
         name: y[last] if name.endswith(".command") else np.interp(at, t, y)
         for name, y in channels.items()
     }
-
-
-def block_averages(y: np.ndarray, each: int) -> np.ndarray:
-    """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
-    left out.
-    """
-    count = len(y) // each
-    return y[: count * each].reshape(count, each, *y.shape[1:]).mean(axis=1)
 
 
 @dataclass(frozen=True)

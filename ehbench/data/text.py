@@ -314,11 +314,7 @@ class TextTable:
 
 
 def text_table(path: Path, example: str) -> TextTable:
-    """The table of a text file.
-
-    Args:
-        path: the file.
-        example: a header as it may be, for the message.
+    """The table of a text file; ``example`` is a header as it may be, for the message.
 
     Raises:
         LogError: not there, no text, or no header.

@@ -51,7 +51,7 @@ class Binding:
         given = [*self.variables["settable"], *self.variables["start"]]
         lists = {"start": given} | {key: self.variables[key] for key in ("commands", "channels")}
         references = {key: [item.reference for item in row] for key, row in lists.items()}
-        return self.fmu.process(references)
+        return FmuProcess(self.fmu, references)
 
     @contextmanager
     def process(self) -> Iterator[FmuProcess]:

@@ -115,7 +115,27 @@ class InitialState:
             InputError: a posture outside the stroke.
         """
         true = self.true(shifts, shared)
-        return self.moved_from(self.unmoved(model, true), model, shifts), true
+        first = self.unmoved(model, true)
+        y, supply, tank = first.y.copy(), first.supply, first.tank
+        for number, shift in zip(self.uncertain, shifts, strict=True):
+            by = number.std * float(shift)
+            if number.bias:
+                continue
+            if number.name == TANK_CHANNEL:
+                tank = None if tank is None else tank + by
+            elif number.valve >= 0:
+                valve = model.plant.valves[number.valve]
+                value = min(max(y[number.place(model.plant)] + by, valve.lowest), valve.highest)
+                valve_settle(valve, value, model.plant, y)
+            else:
+                y[number.place(model.plant)] += by
+                if number.name == SUPPLY_CHANNEL and supply is not None:
+                    supply += by
+        for index, row in enumerate(model.plant.cylinders):
+            low, high = sorted(model.stroke_range(index))
+            y[row.joint] = min(max(y[row.joint], low), high)
+        settle_parts(model.plant, y)
+        return Start(y, supply, tank), true
 
     def unmoved(self, model: Model, true: Record) -> Start:
         """What `begin` moves: the start by sensors that are put right.
@@ -190,37 +210,14 @@ class InitialState:
             valve_settle(valve, min(max(opening, valve.lowest), valve.highest), model.plant, y)
         return Start(y, supply, tank)
 
-    def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
-        """The start of `begin`, from one of `unmoved`, which stays as it is."""
-        y, supply, tank = first.y.copy(), first.supply, first.tank
-        for number, shift in zip(self.uncertain, shifts, strict=True):
-            by = number.std * float(shift)
-            if number.bias:
-                continue
-            if number.name == TANK_CHANNEL:
-                tank = None if tank is None else tank + by
-                continue
-            if number.valve >= 0:
-                valve = model.plant.valves[number.valve]
-                value = min(max(y[number.place(model.plant)] + by, valve.lowest), valve.highest)
-                valve_settle(valve, value, model.plant, y)
-                continue
-            y[number.place(model.plant)] += by
-            if number.name == SUPPLY_CHANNEL and supply is not None:
-                supply += by
-        for index, row in enumerate(model.plant.cylinders):
-            low, high = sorted(model.stroke_range(index))
-            y[row.joint] = min(max(y[row.joint], low), high)
-        settle_parts(model.plant, y)
-        return Start(y, supply, tank)
-
     def moved(self, shifts: np.ndarray) -> dict[str, float]:
         """By how much the shifts move each number of the start [SI]."""
-        return {
-            number.name: number.std * float(shift)
-            for number, shift in zip(self.uncertain, shifts, strict=True)
-            if not number.bias
-        }
+        return self._moved(shifts, bias=False)
+
+    def _moved(self, shifts: np.ndarray, bias: bool) -> dict[str, float]:
+        """The same of numbers that are a ``bias`` of a sensor, or of all others."""
+        pairs = zip(self.uncertain, shifts, strict=True)
+        return {item.name: item.std * float(x) for item, x in pairs if item.bias == bias}
 
     def numbers(self, start: Start) -> dict[str, float]:
         """Each number of a start [SI] that is uncertain."""
@@ -233,12 +230,7 @@ class InitialState:
 
     def bias(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> dict[str, float]:
         """The bias of the sensors, by term."""
-        mine = {
-            number.name: number.std * float(shift)
-            for number, shift in zip(self.uncertain, shifts, strict=True)
-            if number.bias
-        }
-        return {**shared, **mine}
+        return {**shared, **self._moved(shifts, bias=True)}
 
     def true(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Record:
         """The recording as sound sensors would have given it, commands as the valves get them."""
@@ -499,28 +491,20 @@ class _Follow:
                 break
         return shifts
 
-    def residual(self, shifts: np.ndarray) -> np.ndarray:
-        """Simulated minus recorded [SI], shape (samples, channels)."""
-        run = self.run_of(shifts)
-        return self.residual_by(run.model.replay(run.record, start=run.start), shifts)
-
     def run_of(self, shifts: np.ndarray) -> Replay:
         """What is replayed, and from where."""
         start, true = self.start.begin(self.model, shifts)
         return Replay(self.model, true, start)
 
-    def residual_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
-        """`residual` of a replay."""
+    def residual(self, shifts: np.ndarray, replayed: Record | None = None) -> np.ndarray:
+        """Simulated minus recorded [SI], shape (samples, channels), of a replay, which runs here
+        where there is none: one that failed among others says why.
+        """
+        if replayed is None:
+            run = self.run_of(shifts)
+            replayed = run.model.replay(run.record, start=run.start)
         seen = self.start.seen(replayed, shifts)
         return _channel_table(seen, self.channels, self.start.record) - self.recorded
-
-    def residuals(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-        """`residual` of several shifts."""
-        replays = replay_many([self.run_of(shifts) for shifts in every])
-        for shifts, replayed in zip(every, replays, strict=True):
-            # a replay that failed says why when it runs again
-            failed = replayed is None
-            yield self.residual(shifts) if failed else self.residual_by(replayed, shifts)
 
     def cost(self, shifts: np.ndarray, residual: np.ndarray) -> float:
         """What is minimised."""
@@ -528,12 +512,12 @@ class _Follow:
 
     def step(self, shifts: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """(Gauss's and Newton's step, what it should gain)."""
-        each = np.eye(len(shifts))
-        numbers = self.start.uncertain
-        every = [shifts + number.share * each[i] for i, number in enumerate(numbers)]
+        each, shares = np.eye(len(shifts)), [item.share for item in self.start.uncertain]
+        every = [shifts + share * each[i] for i, share in enumerate(shares)]
+        replays = replay_many([self.run_of(moved) for moved in every])
         columns = [
-            (moved - residual) / (number.share * self.scale)
-            for number, moved in zip(numbers, self.residuals(every), strict=True)
+            (self.residual(moved, replayed) - residual) / (share * self.scale)
+            for share, moved, replayed in zip(shares, every, replays, strict=True)
         ]
         slopes = np.stack([column.ravel() for column in columns], axis=-1)
         normal = slopes.T @ slopes + self.weight * each

@@ -51,13 +51,8 @@ class PreparedLog:
 
 
 def prepare(name: str, record: Record, model: Model, sensors: Sequence[Sensor] = ()) -> PreparedLog:
-    """A log prepared for a model.
-
-    Args:
-        name: of the log.
-        record: as it was read.
-        model: with the log's payload.
-        sensors: what is known of its sensors and drivers, or estimated.
+    """A log as it was read prepared for a model with its payload, by what is known of its sensors
+    and drivers, or estimated.
 
     Raises:
         InputError, LogError: as `preprocess`; a sensor of no channel of the log.

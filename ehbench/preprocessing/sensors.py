@@ -63,14 +63,16 @@ class Term:
         return (value - self.known) / self.per
 
 
-def _fixed(sensor: Sensor, word: str, otherwise: float) -> float:
-    given = sensor[word]
-    return float(given) if isinstance(given, Value) else otherwise
-
-
-def _zero_reading(sensor: Sensor) -> float:
-    """What a sensor is known to read at zero."""
-    return _fixed(sensor, "offset", 0.0) + ATMOSPHERE * (sensor.pressure == "absolute")
+def _known(sensor: Sensor) -> dict[str, float]:
+    """The numbers of a sensor as far as they are known: ``offset`` is what it reads at zero,
+    ``scale`` has its sign.
+    """
+    plain = {"offset": 0.0, "scale": 1.0, "lag": 0.0, "delay": 0.0}
+    given = {word: sensor[word] for word in WORDS}
+    known = plain | {word: float(x) for word, x in given.items() if isinstance(x, Value)}
+    known["offset"] += ATMOSPHERE * (sensor.pressure == "absolute")
+    known["scale"] *= sensor.sign
+    return known
 
 
 def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Record:
@@ -84,8 +86,9 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
         if sensor.channel not in channels:
             text = message("preprocessing.unknown_sensor", log=name, channel=sensor.channel)
             raise InputError(text, hint=like_channel(sensor.channel, list(channels)))
-        scale = sensor.sign * _fixed(sensor, "scale", 1.0)
-        channels[sensor.channel] = (channels[sensor.channel] - _zero_reading(sensor)) / scale
+        known = _known(sensor)
+        reading = channels[sensor.channel]
+        channels[sensor.channel] = (reading - known["offset"]) / known["scale"]
     return replace(record, channels=channels) if sensors else record
 
 
@@ -93,23 +96,21 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
     """What is left to estimate, and known lags and delays, of logs without their known errors."""
     results = []
     for sensor in sensors:
-        scale = sensor.sign * _fixed(sensor, "scale", 1.0)
+        known = _known(sensor)
         span = max(float(np.ptp(log[sensor.channel])) for log in records)
         span = span or max(float(np.max(np.abs(log[sensor.channel]))) for log in records) or 1.0
         for word in WORDS:
             given = sensor[word]
             if given is None:
                 continue
-            known = {"offset": _zero_reading(sensor), "scale": scale}.get(word, 0.0)
-            known = known if word in ("offset", "scale") else _fixed(sensor, word, 0.0)
-            per = scale if word in ("offset", "scale") else 1.0
+            per = known["scale"] if word in ("offset", "scale") else 1.0
             std = 0.0
             if given == ESTIMATE:
                 std = VAGUE[word] * (span if word == "offset" else 1.0)
             elif isinstance(given, Value) and given.std:
                 std = given.std / abs(per)
-            if std > 0.0 or (word in ("lag", "delay") and known != 0.0):
-                results.append(Term(sensor.channel, word, known, per, std, sensor.per_log))
+            if std > 0.0 or (word in ("lag", "delay") and known[word] != 0.0):
+                results.append(Term(sensor.channel, word, known[word], per, std, sensor.per_log))
     return tuple(results)
 
 

@@ -90,7 +90,6 @@ def parts_of(
 
     Args:
         name: of the log, which its parts have with their number.
-        record: the log.
         driven: leave out parts in which no command changes.
         within: [s] the span that counts; parts outside of it are left out.
     """

@@ -152,12 +152,8 @@ def checksum(facts: Mapping[str, Any]) -> str:
 
 
 def run_hash(recipe: str, inputs: Iterable[tuple[str, str]], versions: Versions) -> str:
-    """Eight hex digits that name a run.
-
-    Args:
-        recipe: SHA-256 of its recipe.
-        inputs: role and SHA-256 of each.
-        versions: of its schema and methods.
+    """Eight hex digits that name a run, by the SHA-256 of its recipe, role and SHA-256 of each
+    input, and the versions of its schema and methods.
     """
     digest = hashlib.sha256(f"{recipe}{versions}\n".encode())
     for role, content in inputs:

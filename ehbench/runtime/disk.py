@@ -20,7 +20,7 @@ DATA = 4 * 2**30  # [bytes] of a log or table
 
 
 def read_bytes(path: Path, maximum: int = TEXT, error: type[InputError] = InputError) -> bytes:
-    """The bytes of a plain file of at most ``most`` bytes.
+    """The bytes of a plain file of at most ``maximum`` bytes.
 
     Raises:
         FileNotFoundError: there is none.
@@ -38,11 +38,9 @@ def read_bytes(path: Path, maximum: int = TEXT, error: type[InputError] = InputE
             if not stat.S_ISREG(result.st_mode):
                 raise error("is no plain file but a pipe or a device", file=shortened_path(path))
             if result.st_size > maximum:
-                raise error(
-                    f"is {result.st_size / 1e6:.4g} MB large, more than the {maximum / 1e6:.4g} MB "
-                    "that are read",
-                    file=shortened_path(path),
-                )
+                size, limit = (f"{item / 1e6:.4g} MB" for item in (result.st_size, maximum))
+                text = f"is {size} large, more than the {limit} that are read"
+                raise error(text, file=shortened_path(path))
             return file.read()
     except FileNotFoundError:
         raise

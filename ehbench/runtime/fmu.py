@@ -90,11 +90,8 @@ class Fmu:
             reason = f"modelDescription.xml: {self.plain(error)}"
             reason = "no zip archive" if isinstance(error, BadZipFile) else reason
             raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
-        if (
-            self.description.coSimulation is None
-            or str(self.description.fmiVersion)[:1] not in "23"
-        ):
-            version = self.description.fmiVersion
+        version = self.description.fmiVersion
+        if self.description.coSimulation is None or str(version)[:1] not in "23":
             raise InputError(message("runtime.fmu_kind", version=version), file=file)
         if fmpy.platform not in platforms:
             there = ", ".join(platforms) or "none"
@@ -107,7 +104,8 @@ class Fmu:
 
     def variable(self, name: str, unit: str | None, use: str) -> Variable:
         """A variable by name, in the SI unit of what it stands for; without one as the FMU has it.
-        What its ``use`` is: it is a key of `process`, or ``settable`` before the start.
+        What its ``use`` is: a key of the references of a `FmuProcess`, or ``settable`` before the
+        start.
 
         Raises:
             InputError: there is none, it is no single real number, not of that dimension, or cannot
@@ -117,9 +115,8 @@ class Fmu:
         item = known.get(name)
         if item is None:
             near = ", ".join(sorted(known, key=lambda other: (abs(len(other) - len(name)), other)))
-            raise InputError(
-                message("runtime.fmu_variable", name=name, known=near[:200]), file=self.file
-            )
+            text = message("runtime.fmu_variable", name=name, known=near[:200])
+            raise InputError(text, file=self.file)
         if item.type not in ("Real", "Float64") or item.dimensions:
             raise InputError(message("runtime.fmu_not_real", name=name), file=self.file)
         able = item.causality in ("input", "parameter", "structuralParameter")
@@ -148,12 +145,6 @@ class Fmu:
         fields = {"name": name, "unit": declared, "problem": problem}
         raise InputError(message("runtime.fmu_unit", **fields), file=self.file)
 
-    def process(self, references: Mapping[str, Sequence[int]]) -> FmuProcess:
-        """A child that runs it, by the value references of ``start``, ``commands`` and
-        ``channels``.
-        """
-        return FmuProcess(self, references)
-
 
 @lru_cache(maxsize=8)
 def _unpacked(file: Path, stamp: int, size: int) -> Fmu:
@@ -175,7 +166,8 @@ def fmu_of(file: Path) -> Fmu:
 
 
 class FmuProcess:
-    """An FMU at work in a child.
+    """An FMU at work in a child, by the value references of ``start``, ``commands`` and
+    ``channels``.
 
     Every method raises FmuError where the binary crashes, hangs or reports an error."""
 
@@ -226,12 +218,8 @@ class FmuProcess:
                 raise self._hung() from None
             raise FmuError(message("runtime.fmu_crashed", end=name), file=self.fmu.file) from None
         if status != DONE:
-            raise FmuError(
-                message(
-                    "runtime.fmu_failed", problem=self.fmu.plain(answer.decode(errors="replace"))
-                ),
-                file=self.fmu.file,
-            )
+            problem = self.fmu.plain(answer.decode(errors="replace"))
+            raise FmuError(message("runtime.fmu_failed", problem=problem), file=self.fmu.file)
         return np.frombuffer(bytes(answer)).reshape(-1, self.width)
 
     def _read(self, size: int, until: float) -> bytearray:

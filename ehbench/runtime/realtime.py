@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 
 PRIORITY = 60  # of SCHED_FIFO: above interrupt threads, below watchdogs of the kernel
 LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
@@ -44,20 +45,13 @@ def punctual(priority: int = PRIORITY, pinned: bool = True) -> Iterator[list[str
         number = getattr(os, policy) | getattr(os, flag, 0)  # threads begun inside are ordinary
         os.sched_setscheduler(0, number, os.sched_param(level))
 
-    attempt(
-        "fifo",
-        lambda: schedule("SCHED_FIFO", "SCHED_RESET_ON_FORK", priority),
-        lambda: schedule("SCHED_OTHER", "", 0),
-    )
-    attempt("memory", lambda: lock(LOCK_ALL), lambda: lock(None))
+    urgent = partial(schedule, "SCHED_FIFO", "SCHED_RESET_ON_FORK", priority)
+    attempt("fifo", urgent, partial(schedule, "SCHED_OTHER", "", 0))
+    attempt("memory", partial(lock, LOCK_ALL), partial(lock, None))
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if pinned and len(cores) > 1:
-        last = {max(cores)}
-        attempt(
-            "core",
-            lambda: os.sched_setaffinity(0, last),
-            lambda: os.sched_setaffinity(0, cores),
-        )
+        bind, last = partial(os.sched_setaffinity, 0), {max(cores)}
+        attempt("core", partial(bind, last), partial(bind, cores))
     interval, collects = sys.getswitchinterval(), gc.isenabled()
     sys.setswitchinterval(SWITCH)
     gc.collect()

@@ -3,7 +3,6 @@ come, go and die."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import pickle
 import threading
@@ -16,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
@@ -57,13 +56,6 @@ class Bundle:
     code: str = field(default_factory=_code)
 
 
-class Sent(NamedTuple):
-    """A bundle on its way: its bytes and their hash."""
-
-    digest: str
-    data: bytes
-
-
 class OtherCode(Exception):
     """A worker has another version of the package."""
 
@@ -72,11 +64,11 @@ _OPENING = threading.Lock()
 
 
 @lru_cache(maxsize=4)
-def _opened(digest: str, data: bytes) -> Make:
+def _opened(data: bytes) -> Make:
     bundle: Bundle = pickle.loads(data)
     if bundle.code != _code():
         raise OtherCode(_code())
-    root = Path(mkdtemp(prefix=f"ehbench_{digest[:8]}_"))
+    root = Path(mkdtemp(prefix="ehbench_"))
     for name, content in bundle.files.items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -85,21 +77,16 @@ def _opened(digest: str, data: bytes) -> Make:
 
 
 @one_thread()
-def make_chunk(sent: Sent, chunk: list[Task]) -> list[Sample]:
-    """What a worker of the cluster does."""
+def make_chunk(data: bytes, chunk: list[Task]) -> list[Sample]:
+    """What a worker of the cluster does, by the bytes of a bundle."""
     with _OPENING:
-        make = _opened(*sent)
+        make = _opened(data)
     return [make(*task) for task in chunk]
 
 
 class Cluster:
-    """The workers of a Dask scheduler.
-
-    Args:
-        workers: which scheduler, and how to reach it.
-        bundle: of the study.
-        measures: of a sample.
-        limit: time [s] that a sample may take; a worker that hangs beyond it is restarted.
+    """The workers of a Dask scheduler for a study whose samples have so many ``measures``; one that
+    hangs over a sample beyond the ``limit`` [s] is restarted.
 
     Raises:
         InputError: no such extra is installed, or no scheduler answers.
@@ -132,8 +119,7 @@ class Cluster:
         except (OSError, ValueError, TypeError) as error:
             text = message("sampling.no_scheduler", address=workers.scheduler, reason=str(error))
             raise InputError(text) from None
-        data = pickle.dumps(bundle)
-        self._sent = Sent(hashlib.sha256(data).hexdigest(), data)
+        self._sent = pickle.dumps(bundle)
         self._measures, self._limit = measures, limit
         self._done: SimpleQueue[Future] = SimpleQueue()
         self._jobs: dict[Future, tuple[list[Task], float]] = {}  # chunk and when it was sent [s]
@@ -141,7 +127,7 @@ class Cluster:
         self._seconds = self._count = 0.0
 
     def run(self, tasks: Iterable[Task]) -> Iterator[list[Sample]]:
-        """As `Pool.run`.
+        """The samples of tasks, some at a time, in any order.
 
         Raises:
             InputError: a worker has another version of the package.

@@ -114,18 +114,13 @@ class Fitted:
         order = [result["correlated_names"].index(name) for name in names]
         matrix = np.array(result["correlation"], float)[np.ix_(order, order)]
         picked = [rows[name] for name in names]
-        ends = [
-            (
-                -math.inf if row["lower"] is None else row["lower"],
-                math.inf if row["upper"] is None else row["upper"],
-            )
-            for row in picked
-        ]
+        free = {"lower": -math.inf, "upper": math.inf}
+        ends = [[free[key] if row[key] is None else row[key] for key in free] for row in picked]
         return cls(
             tuple(names),
             tuple(float(row["value"]) for row in picked),
             tuple(float(row["std"]) for row in picked),
-            tuple(ends),
+            tuple((low, high) for low, high in ends),
             tuple(row["unit"] for row in picked),
             matrix,
         )
@@ -142,11 +137,7 @@ class Fitted:
 
 
 class Design:
-    """The samples of a study.
-
-    Args:
-        recipe: of the study.
-        fitted: what its ``identified`` names.
+    """The samples of a study; ``fitted`` is what its ``identified`` names.
 
     Raises:
         InputError: numbers without a common unit, a correlation that cannot be, …
@@ -226,9 +217,8 @@ class Design:
             values.insert(0, item.values[at])
         if self.drawn:
             if self._normal is None:
-                z = np.random.default_rng([self.recipe.seed, point]).standard_normal(
-                    len(self.drawn)
-                )
+                rng = np.random.default_rng([self.recipe.seed, point])
+                z = rng.standard_normal(len(self.drawn))
             else:
                 z = self._normal[point]
             z = self._root @ z

@@ -107,7 +107,7 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         table = rig.as_toml()
         for path in deeper:
             if path.partition(".")[0] not in table:
-                raise nowhere(RIG, path, [*known, *leaves(table)])
+                raise nowhere(f"{RIG}.{path}", [*known, *leaves(table)])
         path = Path(f"rig '{rig.name}'")
         rig = validated(Rig, changed_table(table, deeper, RIG), "", path)
     return rig.with_values(values) if values else rig
@@ -130,29 +130,18 @@ def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: st
     """
     built = deepcopy(dict(table))
     for path, raw in changes.items():
-        _put(built, path.split("."), raw, Place(f"{file}.{path}", built))
+        _put(built, path.split("."), raw, f"{file}.{path}", built)
     if built.get("payload") == "none":
         del built["payload"]
     return built
 
 
-class Place(NamedTuple):
-    """A key that is being set, as the study has it, and the table that it is of."""
-
-    text: str
-    table: Mapping[str, Any]
-
-    def lost(self) -> InputError:
-        """There is no such key; with the nearest."""
-        file, _, path = self.text.partition(".")
-        return nowhere(file, path, leaves(self.table))
-
-
-def nowhere(file: str, path: str, known: Iterable[str]) -> InputError:
-    """There is no such key in a file; with the nearest of those known."""
+def nowhere(key: str, known: Iterable[str]) -> InputError:
+    """There is no such key, ``<file>.<path>``; with the nearest path of those known."""
+    file, _, path = key.partition(".")
     near = get_close_matches(path, known, 1, 0.4)
     hint = f"nearest is '{file}.{near[0]}'" if near else None
-    return InputError(message("sampling.nowhere", key=f"{file}.{path}"), hint=hint)
+    return InputError(message("sampling.nowhere", key=key), hint=hint)
 
 
 def leaves(table: Any, prefix: str = "") -> Iterator[str]:
@@ -167,27 +156,27 @@ def leaves(table: Any, prefix: str = "") -> Iterator[str]:
         yield prefix
 
 
-def _put(here: Any, words: Sequence[str], raw: Any, place: Place) -> None:
+def _put(here: Any, words: Sequence[str], raw: Any, text: str, table: Mapping[str, Any]) -> None:
     """Set what ``words`` lead to; a missing table is made, and the file's model judges it."""
     names = list(here) if isinstance(here, dict) else _names(here)
     sizes = range(len(words), 0, -1)  # names may have dots themselves
     size = next((n for n in sizes if ".".join(words[:n]) in names), 0)
     if not size and (isinstance(here, list) or isinstance(raw, Factor)):
-        raise place.lost()
+        raise nowhere(text, leaves(table))
     name = ".".join(words[: size or 1])
     at = name if isinstance(here, dict) else names.index(name)
     rest = words[size or 1 :]
     old = here[at] if size else None
     if not rest:
-        here[at] = _times(old, raw, place.text)
+        here[at] = _times(old, raw, text)
         return
     inner = {} if old is None else list(old) if isinstance(old, tuple) else old
     if isinstance(old, str) and at == "gains":
         inner = {"from": old}
     if not isinstance(inner, dict | list):
-        raise place.lost()
+        raise nowhere(text, leaves(table))
     here[at] = inner
-    _put(inner, rest, raw, place)
+    _put(inner, rest, raw, text, table)
 
 
 def _names(items: Sequence[Any]) -> list[str]:

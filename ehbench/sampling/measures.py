@@ -46,12 +46,8 @@ def row_of(item: Measure) -> Quantity | None:
 
 
 def value_of(item: Measure, results: Mapping[str, Any], settings: Mapping[str, float]) -> float:
-    """A measure of results; nan where they do not have it.
-
-    Args:
-        item: taken of results.
-        results: plain values, as JSON has them.
-        settings: the sample's numbers [SI] by key, for ``inside``.
+    """A measure of results, plain values as JSON has them; nan where they do not have it.
+    ``settings`` are the sample's numbers [SI] by key, for ``inside``.
     """
     result = lookup(results, (item.result or "").split("."))
     if item.inside is not None:
@@ -82,12 +78,7 @@ def lookup(here: Any, words: Sequence[str]) -> Any:
 
 
 def of_channels(item: Measure, record: Record, stop: float | None) -> float:
-    """A measure of a trial's log [SI]; nan since a stop that never was.
-
-    Args:
-        item: taken of a channel.
-        record: the log.
-        stop: when a limit stopped the trial [s]; None if none did.
+    """A measure of a trial's log [SI]; nan since a ``stop`` [s] by a limit that never was.
 
     Raises:
         LogError: no such channel; names those there are.

@@ -78,14 +78,8 @@ def hash_of(key: str, settings: Any) -> str:
 def write_tables(
     folder: Path, design: Design, measures: Sequence[MeasureColumn], journal: Journal, key: str
 ) -> Rows:
-    """Write ``samples.csv``, with pyarrow ``samples.parquet`` as well; the table also comes back.
-
-    Args:
-        folder: of the run.
-        design: the samples' inputs.
-        measures: the columns after them.
-        journal: every sample.
-        key: of the study.
+    """Write ``samples.csv``, with pyarrow ``samples.parquet`` as well, of every sample of a
+    journal: its inputs by the design, then its measures. The table also comes back.
     """
     kinds = [(column.head, "text" if column.is_text else "float") for column in design.columns]
     front = [("sample", "int"), ("hash", "text"), ("code", "int"), ("status", "text")]

@@ -15,7 +15,7 @@ from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from queue import LifoQueue, SimpleQueue
-from typing import Any, Protocol
+from typing import Any
 
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Make, Open, Sample, Task
@@ -35,35 +35,13 @@ class PoolSettings:
 POOLS = PoolSettings()
 
 
-class Pool(Protocol):
-    """What makes samples."""
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[list[Sample]]:
-        """The samples of tasks, some at a time, in any order."""
-        ...
-
-
-class Threads:
-    """Threads of this process: for samples whose time goes into compiled loops, which release the
-    interpreter's lock.
-
-    Args:
-        open: what makes the samples.
-        workers: threads.
-    """
-
-    def __init__(self, open: Open, workers: int) -> None:
-        self._open, self._workers = open, workers
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[list[Sample]]:
-        """As `Pool.run`."""
-        return _in_threads(self._open(), tasks, self._workers)
-
-
-def _in_threads(
+def in_threads(
     make: Make, tasks: Iterable[Task], workers: int, stop: Callable[[], None] = lambda: None
 ) -> Iterator[list[Sample]]:
-    """Samples as they come; ``stop`` ends those under way when nobody wants more."""
+    """Samples by threads of this process, as they come: for those whose time goes into compiled
+    loops, which release the interpreter's lock. ``stop`` ends those under way when nobody wants
+    more.
+    """
     done: SimpleQueue[Future[Sample]] = SimpleQueue()
     tasks, waiting = iter(tasks), 0
     with ThreadPoolExecutor(workers) as pool:
@@ -112,14 +90,9 @@ class _Worker:
 
 
 class Processes:
-    """Processes of this machine. One that dies, or works on a sample beyond ``limit`` [s], is
-    replaced; a sample that ends several of them is given up.
-
-    Args:
-        open: can be pickled.
-        workers: processes.
-        measures: of a sample.
-        limit: None for none.
+    """Processes of this machine, to which ``open`` goes pickled, for samples of so many
+    ``measures``. One that dies, or works on a sample beyond ``limit`` [s], is replaced; a sample
+    that ends several of them is given up.
     """
 
     def __init__(self, open: Open, workers: int, measures: int, limit: float | None = None) -> None:
@@ -130,10 +103,10 @@ class Processes:
         self._stopped = False
 
     def run(self, tasks: Iterable[Task]) -> Iterator[list[Sample]]:
-        """As `Pool.run`."""
+        """The samples of tasks, some at a time, in any order."""
         for _ in range(self._count):
             self._idle.put(None)
-        return _in_threads(self._make, tasks, self._count, self._stop)
+        return in_threads(self._make, tasks, self._count, self._stop)
 
     def _make(self, index: int, settings: Any) -> Sample:
         for _ in range(POOLS.attempts):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
@@ -118,4 +118,5 @@ class Sample(NamedTuple):
 
 Task = tuple[int, Mapping[str, Any]]  # a sample's number and what it sets
 Make = Callable[[int, Mapping[str, Any]], Sample]
+Run = Callable[[Iterable[Task]], Iterator[list[Sample]]]  # some samples at a time, in any order
 Open = Callable[[], Make]  # makes ready what makes samples, in the process where it is called

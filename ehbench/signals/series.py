@@ -20,6 +20,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
 LEAST_LINE = 8  # samples that show a slope
+_SETTLE = 0.02  # [s] that a window between two changes of a command lasts at least
 _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
 
 
@@ -77,11 +78,8 @@ class Ringing:
 def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> float:
     """NRMSE fit ``100 (1 − ‖y − ŷ‖ / ‖y − mean y‖)`` [%]; nan for a constant y."""
     spread = float(np.linalg.norm(measured - np.mean(measured)))
-    return (
-        100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread)
-        if spread > 0.0
-        else math.nan
-    )
+    off = float(np.linalg.norm(measured - simulated))
+    return 100.0 * (1.0 - off / spread) if spread > 0.0 else math.nan
 
 
 def rms(y: np.ndarray) -> float:
@@ -104,6 +102,14 @@ def first_of(y: np.ndarray, count: int) -> float:
         return float(np.mean(y[:count]))
     z = np.linspace(0.0, 1.0, count)
     return float(np.polynomial.polynomial.polyfit(z, y[:count], 1)[0])
+
+
+def block_averages(y: np.ndarray, each: int) -> np.ndarray:
+    """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
+    left out.
+    """
+    count = len(y) // each
+    return y[: count * each].reshape(count, each, *y.shape[1:]).mean(axis=1)
 
 
 def lowpass(y: np.ndarray, sample_time: float, cutoff: float, order: int = 2) -> np.ndarray:
@@ -138,18 +144,17 @@ def _butterworth(order: int, cutoff: float, sample_time: float) -> tuple[np.ndar
 
 
 def transients(
-    t: np.ndarray, commands: np.ndarray, settle: float = 0.02, minimum: float | np.ndarray = 0.0
+    t: np.ndarray, commands: np.ndarray, minimum: float | np.ndarray = 0.0
 ) -> list[slice]:
     """Windows between command changes: each begins where a command has just changed and ends before
     the next change.
 
-    Windows shorter than ``settle`` [s] are passed over, so changes that follow each other closely
+    Windows shorter than 20 ms are passed over, so changes that follow each other closely
     are one, and a ramp has none before its end; what precedes the first change is no transient.
 
     Args:
         t: time [s], shape (samples,).
         commands: [V], shape (samples,) or (samples, valves).
-        settle: [s].
         minimum: [V], one number or one a valve: a command has changed when it is off its last level
             by more.
     """
@@ -164,7 +169,7 @@ def transients(
     return [
         slice(first, stop)
         for first, stop in pairwise(edges)
-        if stop - first > 1 and t[stop - 1] - t[first] >= settle
+        if stop - first > 1 and t[stop - 1] - t[first] >= _SETTLE
     ]
 
 
@@ -185,9 +190,8 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
     full = np.fft.irfft(item * np.conj(other), size)
     reach = min(lags, n - 1)
     result = np.zeros(2 * lags + 1)
-    result[lags - reach : lags + reach + 1] = (
-        np.concatenate([full[size - reach :], full[: reach + 1]]) / scale
-    )
+    both = np.concatenate([full[size - reach :], full[: reach + 1]])
+    result[lags - reach : lags + reach + 1] = both / scale
     return result
 
 
@@ -233,11 +237,8 @@ def correlation_band(x: np.ndarray, u: np.ndarray) -> float:
     settled as in `correlation_time`; never below the white band 1.96/√n."""
     n = len(x)
     maximum = max(1, n // 4)
-    both = (
-        autocorrelation(x, maximum)[1:]
-        * autocorrelation(u, maximum)[1:]
-        * (1.0 - np.arange(1, maximum + 1) / n)
-    )
+    both = autocorrelation(x, maximum)[1:] * autocorrelation(u, maximum)[1:]
+    both *= 1.0 - np.arange(1, maximum + 1) / n
     return float(_two_sided() * math.sqrt(_settled_sum(both) / n))
 
 
@@ -281,11 +282,8 @@ def ringing(
     if guess is None:
         omega, zeta, used = _search(s, y[:, weight > 0.0] * weight[weight > 0.0])
     begun, block = (omega, zeta), _block(s, omega)
-    s, y, used = (
-        _block_means(s, block),
-        _block_means(y, block),
-        max(SETTINGS.samples, used // block),
-    )
+    used = max(SETTINGS.samples, used // block)
+    s, y = block_averages(s, block), block_averages(y, block)
     first, s = s[0], s - s[0]
     floor, tau = 1e-3 * spread, 0.0
     for drifts in ((0.0,), (0.0, 0.1), None):
@@ -328,16 +326,10 @@ def ringing_like(
     if not like.ok:
         return Ringing(reason=message("signals.other_silent"))
     y = _as_table(y)
-    starts = (
-        [guess]
-        if guess
-        else [
-            (like.natural_frequency * share, max(like.damping_ratio, 0.05))
-            for share in (1.0, 0.5, 0.7, 1.4, 2.0)
-        ]
-    )
+    damping, shares = max(like.damping_ratio, 0.05), (1.0, 0.5, 0.7, 1.4, 2.0)
+    starts = [guess] if guess else [(like.natural_frequency * x, damping) for x in shares]
     block = _block(t - t[0], like.natural_frequency)
-    s, y, weight = _block_means(t - t[0], block), _block_means(y, block), np.array(like.weights)
+    s, y, weight = block_averages(t - t[0], block), block_averages(y, block), np.array(like.weights)
     used = int(np.searchsorted(t[0] + s, like.stop + 1e-9))
     if used < SETTINGS.samples:
         return Ringing(reason=message("signals.not_covered"))
@@ -361,12 +353,6 @@ def _block(s: np.ndarray, omega: float) -> int:
     )
 
 
-def _block_means(y: np.ndarray, size: int) -> np.ndarray:
-    """Means over blocks of ``size`` samples; what does not fill a block at the end is left out."""
-    count = len(y) // size
-    return y[: count * size].reshape(count, size, *y.shape[1:]).mean(axis=1)
-
-
 def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
     """(ω, ζ, samples) of the best fit on a grid, over the window and its halves."""
     best = (-math.inf, 2 * math.pi / s[-1], 0.1, len(s))
@@ -376,7 +362,7 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
             break
         block = max(1, used // SETTINGS.grid)
         count = used // block
-        z, w = _block_means(s[:used], block), _block_means(y[:used], block)
+        z, w = block_averages(s[:used], block), block_averages(y[:used], block)
         frequencies, columns = oscillation.waves(count, _GRID_DAMPING)
         _, rest = project(drift(z - z[0], 0.0), w)
         explained = np.sum((columns @ rest) ** 2, axis=(2, 3)).ravel()
@@ -418,12 +404,8 @@ def _refine(
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )
         if score < best[0]:
-            best = (
-                score,
-                math.exp(result[0]),
-                float(result[1]),
-                math.exp(result[2]) if len(result) > 2 else tau,
-            )
+            time = math.exp(result[2]) if len(result) > 2 else tau
+            best = score, math.exp(result[0]), float(result[1]), time
     return best[1:]
 
 
@@ -441,9 +423,8 @@ def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, f
         up = project(basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
         down = project(basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
         slopes[:, column] = ((up - down) / (2 * step)).ravel()
-    covariance = (
-        np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
-    )
+    freedom = max(1, y.size - 6 * y.shape[1] - 2)
+    covariance = np.linalg.pinv(slopes.T @ slopes) * residual / freedom * colour
     return float(omega * math.sqrt(covariance[0, 0])), float(math.sqrt(covariance[1, 1]))
 
 
@@ -459,17 +440,10 @@ def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
     n, residual, total = len(s), float(np.sum(left**2)), float(np.sum(rest**2))
     share = 1.0 - residual / total if total > 0.0 else 0.0
     span = float(s[-1])
-    cycles = (
-        omega
-        * math.sqrt(max(0.0, 1.0 - zeta**2))
-        / (2 * math.pi)
-        * min(span, 3.0 / max(zeta * omega, 1e-9))
-    )
-    colour = (
-        max(correlation_time(column) for column in left.T)
-        if residual > 1e-12 * max(total, 1e-300)
-        else 1.0
-    )
+    lasts = min(span, 3.0 / max(zeta * omega, 1e-9))
+    cycles = omega * math.sqrt(max(0.0, 1.0 - zeta**2)) / (2 * math.pi) * lasts
+    exact = not residual > 1e-12 * max(total, 1e-300)
+    colour = 1.0 if exact else max(correlation_time(column) for column in left.T)
     std_omega, std_zeta = _standard_errors(s, y, omega, zeta, tau, residual, colour)
     evidence = n / colour * math.log(total / max(residual, 1e-12 * total)) if total > 0.0 else 0.0
     reason, fitted = "", math.nan

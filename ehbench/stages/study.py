@@ -20,8 +20,8 @@ from ehbench.sampling.design import CASE, RECIPE, Design, Factor, Fitted
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.measures import refuse_unknown
 from ehbench.sampling.outputs import MeasureColumn, write_tables
-from ehbench.sampling.pools import Pool, Processes, Threads
-from ehbench.sampling.sample import STATUS, Task, Workers
+from ehbench.sampling.pools import Processes, in_threads
+from ehbench.sampling.sample import STATUS, Run, Task, Workers
 from ehbench.sampling.summary import Summary
 from ehbench.stages.base import (
     DONE,
@@ -376,8 +376,8 @@ def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) 
     size, began = prepared.design.size, time.monotonic()
     missing = (index for index in range(size) if not journal.done[index])
     tasks = ((index, prepared.design.settings(index)) for index in missing)
-    for pool, share in _pools(prepared, tasks):
-        for samples in pool.run(share):
+    for run, share in _pools(prepared, tasks):
+        for samples in run(share):
             journal.add(samples)
             if progress is not None:
                 done = int(journal.done.sum())
@@ -390,18 +390,19 @@ def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) 
                 progress(f"{done} of {size} samples, {left} left", 0.9 * done / size)
 
 
-def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Pool, Iterator[Task]]]:
+def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Run, Iterator[Task]]]:
     """Where the samples are made, and which: a short study in threads; the rest of a longer one in
     processes, which the interpreter's lock does not hold up; there from the start what may hang.
     """
     workers, plan, measures = prepared.workers, prepared.plan, len(prepared.measures)
     if workers.scheduler:
-        yield Cluster(workers, plan.bundle(), measures, plan.limit), tasks
+        yield Cluster(workers, plan.bundle(), measures, plan.limit).run, tasks
         return
     count = workers.count or cores()
     if plan.limit is None and not plan.allow_code:
-        yield Threads(plan.opened, count), _until(time.monotonic() + SETTINGS.short, tasks)
-    yield Processes(plan.opened, count, measures, plan.limit), tasks
+        run = lambda some: in_threads(plan.opened(), some, count)
+        yield run, _until(time.monotonic() + SETTINGS.short, tasks)
+    yield Processes(plan.opened, count, measures, plan.limit).run, tasks
 
 
 def _until(end: float, tasks: Iterator[Task]) -> Iterator[Task]:

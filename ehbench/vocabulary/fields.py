@@ -27,16 +27,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 from ehbench.vocabulary.text import shortened
 
-SURENESS = (
-    "printed",
-    "restored",
-    "companion",
-    "assumed",
-    "datasheet",
-    "measured",
-    "weighed",
-    "identified",
-)
+SURENESS = "printed restored companion assumed datasheet measured weighed identified".split()
 
 
 class FileModel(BaseModel):

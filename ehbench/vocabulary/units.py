@@ -280,12 +280,10 @@ def parse(text: str, row: Quantity) -> float:
         UnitError: no number, no unit, wrong unit, or a value that is surely a slip.
     """
     match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
-    shown = shortened(text, 60)
+    fields = {"text": shortened(text, 60), "name": row.name, "display": row.display}
     if not match:
-        fields = {"text": shown, "name": row.name, "display": row.display}
         raise UnitError(message("vocabulary.no_number_for", **fields))
     if not match[2] and row.unit != "dimensionless":
-        fields = {"text": shown, "name": row.name, "display": row.display}
         raise UnitError(message("vocabulary.no_unit", number=match[1][:20], **fields))
     value = float(to_si(float(match[1]), match[2], row))
     plausible(value, row, text.strip())

@@ -94,74 +94,62 @@ class Map(Mapping):
 """
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        "Evil()",
-        "[Evil()]",
-        "{'press.servo': Evil()}",
-        "{Evil(): 1.0}",
-        "{('a', []): 1.0}",
-        "{'press.servo': [1.0, 2.0]}",
-        "{'press.servo': 1j}",
-        "{None: 1.0}",
-        "Map()",
-        "(_ for _ in ()).throw(Mute())",
-        "(_ for _ in ()).throw(Dark())",
-        "[[[]] * 3, 5]",
-        "'x' * 10**6",
-        "[float('nan')]",
-        "object()",
-        "__import__('os')._exit(0)",
-        "self.step(t, sample, desired)",
-    ],
-)
-def test_an_answer_of_any_kind_is_a_sentence(tmp_path, answer):
-    code = EVIL + HEAD + START + f"    def step(self, t, sample, desired): return {answer}\n"
-    with pytest.raises(InputError) as error:
-        run_trial(RIG, recipe(tmp_path, code), allow_code=True)
-    assert error.value.file.endswith("mine.py") and "C" in error.value.message
-    assert len(str(error.value)) < 1000 and "\n" not in error.value.message
+ANSWERS = [
+    "Evil()",
+    "[Evil()]",
+    "{'press.servo': Evil()}",
+    "{Evil(): 1.0}",
+    "{('a', []): 1.0}",
+    "{'press.servo': [1.0, 2.0]}",
+    "{'press.servo': 1j}",
+    "{None: 1.0}",
+    "Map()",
+    "(_ for _ in ()).throw(Mute())",
+    "(_ for _ in ()).throw(Dark())",
+    "[[[]] * 3, 5]",
+    "'x' * 10**6",
+    "[float('nan')]",
+    "object()",
+    "__import__('os')._exit(0)",
+    "self.step(t, sample, desired)",
+]
+SHAPES = [
+    "    channels = property(lambda self: 1 / 0)\n",
+    "    channels = [Evil()]\n",
+    "    channels = Evil()\n",
+    "    channels = 5\n",
+    "    channels = ['*', 3]\n",
+    "    channels = ['press.x']\n    notes = property(lambda self: 1 / 0)\n",
+    "    channels = ['press.x']\n    notes = [Evil()]\n",
+    "    channels = ['press.x']\n    notes = ['press.v']\n    note = Evil()\n",
+    "    channels = ['press.x']\n    notes = ['press.v']\n    note = [Evil()]\n",
+    "    channels = ['press.x']\n    step = 5\n",
+    "    channels = ['press.x']\n    start = property(lambda self: 1 / 0)\n",
+    "    channels = ['press.x']\n    def __init__(self): raise Dark\n",
+    "    channels = ['press.x']\n    def __new__(cls): return None\n",
+]
+FILES = ["\0", "(" * 5000, "\xff\xfe", "x = " + "-" * 200000 + "1", "import nothing_of_the_kind"]
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        "    channels = property(lambda self: 1 / 0)\n",
-        "    channels = [Evil()]\n",
-        "    channels = Evil()\n",
-        "    channels = 5\n",
-        "    channels = ['*', 3]\n",
-        "    channels = ['press.x']\n    notes = property(lambda self: 1 / 0)\n",
-        "    channels = ['press.x']\n    notes = [Evil()]\n",
-        "    channels = ['press.x']\n    notes = ['press.v']\n    note = Evil()\n",
-        "    channels = ['press.x']\n    notes = ['press.v']\n    note = [Evil()]\n",
-        "    channels = ['press.x']\n    step = 5\n",
-        "    channels = ['press.x']\n    start = property(lambda self: 1 / 0)\n",
-        "    channels = ['press.x']\n    def __init__(self): raise Dark\n",
-        "    channels = ['press.x']\n    def __new__(cls): return None\n",
-    ],
-)
-def test_a_class_of_any_shape_is_a_sentence(tmp_path, body):
-    start, step = (
-        part * (name not in body) for part, name in ((START, "start ="), (STEP, "step ="))
-    )
-    code = f"{EVIL}class C:\n{start}{step}{body}"
-    with pytest.raises(InputError) as error:
-        run_trial(RIG, recipe(tmp_path, code), allow_code=True)
-    assert error.value.file.endswith("mine.py") and "\n" not in error.value.message
+def answering(answer: str) -> str:
+    """A class whose step answers so."""
+    return f"{EVIL}{HEAD}{START}    def step(self, t, sample, desired): return {answer}\n"
 
 
-@pytest.mark.parametrize(
-    "code",
-    ["\0", "(" * 5000, "\xff\xfe", "x = " + "-" * 200000 + "1", "import nothing_of_the_kind"],
-)
-def test_a_file_that_is_no_code_is_a_sentence(tmp_path, code):
+def shaped(body: str) -> str:
+    """A class with a body, and the methods that it leaves out."""
+    rest = START * ("start =" not in body) + STEP * ("step =" not in body)
+    return f"{EVIL}class C:\n{rest}{body}"
+
+
+@pytest.mark.parametrize("code", [*map(answering, ANSWERS), *map(shaped, SHAPES), *FILES])
+def test_code_of_any_kind_is_a_sentence(tmp_path, code):
     asked = recipe(tmp_path, HEAD)
     (tmp_path / "mine.py").write_bytes(code.encode("latin-1"))
     with pytest.raises(InputError) as error:
         run_trial(RIG, asked, allow_code=True)
-    assert error.value.file.endswith("mine.py")
+    assert error.value.file.endswith("mine.py") and (code in FILES or "C" in error.value.message)
+    assert len(str(error.value)) < 1000 and "\n" not in error.value.message
 
 
 def test_code_that_ends_the_process_is_named(tmp_path):

@@ -52,9 +52,8 @@ def workspace(tmp_path) -> bytes:
 @pytest.mark.slow
 def test_a_fit_its_verdict_and_their_report_are_saved_whole(ehbench, workspace):
     fit, verdict, page = b"i\xfcd", b"v\xfca", b"p\xfcg"
-    assert (
-        ehbench(workspace, "identify", "recipes/identify.toml", "-q", "--out", fit) == fit + b"\n"
-    )
+    printed = ehbench(workspace, "identify", "recipes/identify.toml", "-q", "--out", fit)
+    assert printed == fit + b"\n"
     ehbench(workspace, "validate", "recipes/validate.toml", "--out", verdict)
     ehbench(workspace, "next", fit, "--out", b"n\xfct.toml")
     ehbench(workspace, "check", b"n\xfct.toml")

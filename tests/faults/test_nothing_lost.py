@@ -15,6 +15,7 @@ from ehbench.app import starter
 from ehbench.runs import rundir
 from ehbench.runtime import disk
 from ehbench.vocabulary.errors import InputError
+from tests.shared import refused
 
 RECIPE = "recipe.toml"
 
@@ -73,24 +74,17 @@ def test_a_folder_with_other_files_is_left_alone(place, facts):
     assert tree("out") == before and not list(place.glob(".*"))
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "figures/mine.svg", "sub/result.json"])
-def test_a_file_that_a_run_did_not_write_saves_its_folder(place, name):
-    made("out")
-    (place / "out" / name).parent.mkdir(exist_ok=True)
-    (place / "out" / name).write_text("mine")
+@pytest.mark.parametrize("name", ["notes.txt", "figures/mine.svg", "sub/result.json", ""])
+def test_a_run_is_not_replaced_with_a_file_that_it_did_not_write_or_of_a_machine(place, name):
+    """Without a foreign file, what a machine did."""
+    made("out", on="model" if name else "udp://127.0.0.1:47000")
+    if name:
+        (place / "out" / name).parent.mkdir(exist_ok=True)
+        (place / "out" / name).write_text("mine")
     before = tree("out")
-    with pytest.raises(InputError) as caught:
+    with refused("runs.foreign_file" if name else "runs.recorded", InputError) as caught:
         made("out", "two")
-    assert (caught.value.key, caught.value.fields["name"]) == ("runs.foreign_file", name)
-    assert tree("out") == before and not list(place.glob(".*"))
-
-
-def test_what_a_machine_did_is_never_replaced(place):
-    made("out", on="udp://127.0.0.1:47000")
-    before = tree("out")
-    with pytest.raises(InputError) as caught:
-        made("out", "two")
-    assert (caught.value.key, caught.value.file) == ("runs.recorded", "out")
+    assert caught.value.fields.get("name", "") == name and caught.value.file == "out"
     assert tree("out") == before and not list(place.glob(".*"))
 
 

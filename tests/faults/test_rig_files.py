@@ -84,12 +84,8 @@ def test_a_load_that_the_supply_cannot_carry_is_noted(tmp_path):
 def test_pressure_that_the_areas_raise_is_no_load_beyond_the_supply(tmp_path):
     """One open edge holds the head end at the supply's pressure; the rod end stands above."""
     rig = tomllib.loads(CRANE)
-    (edge,) = [
-        e
-        for e in rig["cylinder"][0]["valve"][0]["edge"]
-        if (e["from"], e["to"]) == ("supply", "head")
-    ]
-    edge["underlap"] = "0.3 V"
+    edges = {(e["from"], e["to"]): e for e in rig["cylinder"][0]["valve"][0]["edge"]}
+    edges["supply", "head"]["underlap"] = "0.3 V"
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(rig))
     lines = inspection.check(tmp_path / "rig.toml").lines
     rests = [re.search(r"rests at ([\d.]+) bar head, ([\d.]+) bar rod", line) for line in lines]
@@ -111,9 +107,8 @@ def test_names_of_another_alphabet_go_all_the_way(tmp_path):
 def test_two_valves_side_by_side_move_a_press(tmp_path, valve):
     moved = trial(tmp_path, PRESS, valve)
     assert moved["main.x"][-1] > moved["main.x"][0] + 1e-3
-    slow, fast = (
-        np.ptp(trial(tmp_path, PRESS, f"main.{name}")["main.x"]) for name in ("fine", "fast")
-    )
+    both = (trial(tmp_path, PRESS, f"main.{name}")["main.x"] for name in ("fine", "fast"))
+    slow, fast = map(np.ptp, both)
     assert fast > 3.0 * slow  # ten times the gain, less what the supply and the ram's start take
 
 
@@ -123,11 +118,8 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
     command = f'{{ valve = "{valve}", kind = "step", amplitude = "3 V", start = "0.1 s" }}'
     head = 'stage = "trial"\nrig = "rig.toml"\nduration = "0.4 s"\n'
     (folder / "t.toml").write_text(f"{head}{more}\ncommand = [{command}]\n", encoding="utf-8")
-    assert (
-        inspection.check(folder / "rig.toml").lines[-1]
-        == inspection.check(folder / "t.toml").lines[-1]
-        == "ok"
-    )
+    for name in ("rig.toml", "t.toml"):
+        assert inspection.check(folder / name).lines[-1] == "ok"
     record, facts = run_trial(load_rig(folder / "rig.toml"), load_recipe(folder / "t.toml"))
     assert not facts.stopped
     assert all(np.isfinite(values).all() for values in record.channels.values())

@@ -19,7 +19,7 @@ from ehbench.data import read
 from ehbench.report import style
 from ehbench.runs.rundir import read_json
 from ehbench.sampling.cluster import Bundle, Cluster
-from ehbench.sampling.pools import POOLS, Processes, Threads
+from ehbench.sampling.pools import POOLS, Processes, in_threads
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from tests.settings import at
@@ -76,10 +76,10 @@ def cluster(makers):
             yield made
 
 
-def samples(pool, count=40):
-    """What a pool makes, in order of the numbers, and the order in which it came."""
+def samples(run, count=40):
+    """What is made, in order of the numbers, and the order in which it came."""
     tasks = ((i, {"x": str(i)}) for i in range(count))
-    came = [one for some in pool.run(tasks) for one in some]
+    came = [one for some in run(tasks) for one in some]
     return sorted(one._replace(seconds=0.0) for one in came), [one.index for one in came]
 
 
@@ -87,13 +87,13 @@ def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path):
     how = {"dies": (5,), "hangs": (16,), "takes": 0.01}
     pool = Processes(partial(makers, how, tmp_path), 2, 2, 0.3)
     with at(POOLS, "grace", 0.3):
-        made, _ = samples(pool)
+        made, _ = samples(pool.run)
     assert [one.index for one in made] == list(range(40))
     bad = {one.index: (one.code, one.status, one.message.key) for one in made if one.code}
     assert bad[5] == (1, "failed", "sampling.died")
     assert bad[16] == (5, "late", "sampling.ended")
     assert len(bad) == 2 and not pool.workers
-    whole, _ = samples(Threads(partial(makers, {}, tmp_path), 3))
+    whole, _ = samples(partial(in_threads, makers({}, tmp_path), workers=3))
     good = [one for one in made if one.index not in bad]
     assert repr(good) == repr([one for one in whole if one.index not in bad])
     tried = [line for path in tmp_path.iterdir() for line in path.read_text().split()]
@@ -113,9 +113,9 @@ def test_a_cluster_whose_worker_is_killed_loses_nothing(makers, cluster, tmp_pat
 
     killer = threading.Thread(target=kill)
     killer.start()
-    made, came = samples(Cluster(workflow.Workers(cluster.scheduler_address), bundle, 2), 120)
+    made, came = samples(Cluster(workflow.Workers(cluster.scheduler_address), bundle, 2).run, 120)
     killer.join()
-    whole, _ = samples(Threads(partial(makers, {}, tmp_path), 1), 120)
+    whole, _ = samples(partial(in_threads, makers({}, tmp_path), workers=1), 120)
     assert repr(made) == repr(whole)
     assert len(came) == 120
 
@@ -190,7 +190,7 @@ def test_an_encrypted_cluster_works_for_who_has_a_certificate_of_its_authority(m
         silence_logs=50,
     ) as cluster:
         address = cluster.scheduler_address
-        made, _ = samples(Cluster(workflow.Workers.of(address, ours), bundle, 2), 9)
+        made, _ = samples(Cluster(workflow.Workers.of(address, ours), bundle, 2).run, 9)
         assert [one.index for one in made] == list(range(9))
         for workers, key in (
             (workflow.Workers.of(address, strange), "sampling.no_scheduler"),

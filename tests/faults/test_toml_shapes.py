@@ -48,23 +48,11 @@ def test_a_recipe_of_any_shape_is_a_sentence(tmp_path, text, says, line):
         assert line in (None, error.value.line) and len(str(error.value)) < 1500
 
 
-@pytest.mark.parametrize(
-    "key", ["name", "title", "gravity", "oil", "supply", "cylinder", "payload"]
-)
-@pytest.mark.parametrize(
-    "value",
-    [
-        "[]",
-        "{}",
-        "[[[]]]",
-        "true",
-        "nan",
-        "1979-05-27",
-        '"\\u0000"',
-        "9" * 400,
-        "[" * 900 + "]" * 900,
-    ],
-)
+VALUES = [*'[] {} [[[]]] true nan 1979-05-27 "\\u0000"'.split(), "9" * 400, "[" * 900 + "]" * 900]
+
+
+@pytest.mark.parametrize("key", "name title gravity oil supply cylinder payload".split())
+@pytest.mark.parametrize("value", VALUES)
 def test_a_rig_of_any_shape_is_a_rig_or_a_sentence(tmp_path, key, value):
     path = tmp_path / "rig.toml"
     path.write_text(f"{key} = {value}\n{SLIDE}".replace("\nname = ", "\n# name = ", 1))

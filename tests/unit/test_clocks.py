@@ -88,27 +88,23 @@ def test_minutes_or_hours_is_asked(tmp_path):
         _read(tmp_path / "a.csv", "when;q", rows, {"when": MappedColumn(channel="t"), "q": Q})
 
 
-COUNTS = {
-    "days of a spreadsheet": (
-        "d",
-        46351.524305,
-        86400.0,
-        datetime(2026, 11, 25, 12, 35, tzinfo=UTC),
-    ),
-    "days of MATLAB": ("d", 740311.524305, 86400.0, datetime(2026, 11, 25, 12, 35, tzinfo=UTC)),
-    "seconds since 1904": ("s", 3878454900.0, 1.0, datetime(2026, 11, 25, 12, 35, tzinfo=UTC)),
-    "seconds since 1970": ("s", 1795610100.0, 1.0, datetime(2026, 11, 25, 12, 35, tzinfo=UTC)),
+MOMENT = datetime(2026, 11, 25, 12, 35, tzinfo=UTC)
+COUNTS = {  # the unit of a count, its first, seconds of the unit
+    "days of a spreadsheet": ("d", 46351.524305, 86400.0),
+    "days of MATLAB": ("d", 740311.524305, 86400.0),
+    "seconds since 1904": ("s", 3878454900.0, 1.0),
+    "seconds since 1970": ("s", 1795610100.0, 1.0),
 }
 
 
 @pytest.mark.parametrize("name", COUNTS)
 def test_a_count_since_the_beginning_of_a_calendar(name, tmp_path):
-    unit, first, scale, moment = COUNTS[name]
+    unit, first, scale = COUNTS[name]
     rows = [f"{first + 0.05 * row / scale:.11f};{row}" for row in range(ROWS)]
     names = {"when": MappedColumn(channel="t", unit=unit), "q": Q}
     record = _read(tmp_path / "a.csv", "when;q", rows, names)
     np.testing.assert_allclose(record.t, 0.05 * np.arange(ROWS), atol=1e-4)
-    assert abs(datetime.fromisoformat(record.meta["began"]) - moment) < timedelta(seconds=1)
+    assert abs(datetime.fromisoformat(record.meta["began"]) - MOMENT) < timedelta(seconds=1)
 
 
 def test_a_channel_goes_by_the_nearest_time_to_its_left(tmp_path):

@@ -72,9 +72,9 @@ def test_the_plain_library_reads_every_message(tmp_path):
         assert summary.statistics.message_count == record.t.size
         assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 3
         assert summary.statistics.message_end_time == round(record.t[-1] * 1e9)
-        assert {
-            each.name: each.data for each in reader.iter_attachments()
-        }.items() >= record.attachments.items()
+        files = {each.name: each.data for each in reader.iter_attachments()}
+        assert json.loads(files.pop("ehbench/facts.json"))["meta"] == record.meta
+        assert files == record.attachments
         assert [each.metadata for each in reader.iter_metadata()] == [record.meta]
         for n, (schema, channel, message) in enumerate(reader.iter_messages()):
             fields = [line.split()[:2] for line in schema.data.decode().splitlines()]
@@ -129,7 +129,7 @@ def test_ros_names_are_legal_and_unique(tmp_path):
 
 
 def test_live_samples_give_the_same_record(tmp_path):
-    record = recording(300)
+    record = recording(60)
     with LogWriter(
         tmp_path / "a.mcap", list(record.channels), record.meta, record.attachments, sync=0.0
     ) as writer:
@@ -158,20 +158,18 @@ def test_times_before_zero_round_trip(tmp_path):
 def test_slow_topics_are_held_on_the_fast_time_base(tmp_path):
     groups = {"/fast": ["boom.q", "boom.p_head"], "/slow": ["boom.temperature"]}
     fast, slow = np.arange(20) * 1e-3, np.array([2e-3, 7e-3, 12e-3, 17e-3])
-    with LogWriter(
-        tmp_path / "a.mcap", ["boom.temperature", "boom.q", "boom.p_head"], groups=groups
-    ) as writer:
+    names = ["boom.temperature", "boom.q", "boom.p_head"]
+    with LogWriter(tmp_path / "a.mcap", names, groups=groups) as writer:
         for n, t in enumerate(fast):
             writer.append(t, [n, 1e5 * n], "/fast")
             if n in (2, 7, 12, 17):
                 writer.append(t, [300.0 + n], "/slow")
     back = read(tmp_path / "a.mcap")
-    assert list(back.channels) == ["boom.temperature", "boom.q", "boom.p_head"]
+    assert list(back.channels) == names
     assert np.array_equal(back.t, fast[2:])
     assert np.array_equal(back["boom.q"], np.arange(2.0, 20.0))
-    assert np.array_equal(
-        back["boom.temperature"], 300 + slow[np.searchsorted(slow, back.t, "right") - 1] * 1e3
-    )
+    last = slow[np.searchsorted(slow, back.t, "right") - 1]
+    assert np.array_equal(back["boom.temperature"], 300 + last * 1e3)
     assert back.losses == ("2 samples are left out: not all topics have values there",)
 
 
@@ -194,9 +192,8 @@ def test_groups_of_one_rate_share_the_time_base(tmp_path):
 
 
 def test_a_topic_that_never_spoke_is_named(tmp_path):
-    with LogWriter(
-        tmp_path / "a.mcap", ["boom.q", "boom.x"], groups={"/a": ["boom.q"], "/b": ["boom.x"]}
-    ) as writer:
+    groups = {"/a": ["boom.q"], "/b": ["boom.x"]}
+    with LogWriter(tmp_path / "a.mcap", ["boom.q", "boom.x"], groups=groups) as writer:
         writer.append(0.0, [1.0], "/a")
     assert read(tmp_path / "a.mcap").losses == ("no samples of boom.x",)
 
@@ -343,10 +340,8 @@ def test_labelled_ros_topics_are_read(tmp_path, compression, chunked):
 
 def test_ros_topics_without_labels_are_refused_by_name(tmp_path):
     bare = MIXED.replace(" # boom.command [V]", "")
-    with pytest.raises(
-        LogError,
-        match=r"/rosout \(cdr, std_msgs/msg/String\), /arm \(cdr, lab/msg/Arm\).*ehbench reads",
-    ):
+    says = r"/rosout \(cdr, std_msgs/msg/String\), /arm \(cdr, lab/msg/Arm\).*ehbench reads"
+    with pytest.raises(LogError, match=says):
         read(foreign(tmp_path / "a.mcap", {}, bare))
     with pytest.raises(LogError, match=r"/arm \(json, lab/msg/Arm\)"):
         read(foreign(tmp_path / "b.mcap", LABELS, encoding="json"))
@@ -385,30 +380,15 @@ def test_every_shared_recording_opens_or_is_refused_with_a_sentence():
                 assert "holds no samples" in str(error)
 
 
-def test_check_record_names_the_place():
+def test_check_record_names_the_place_in_the_unit_of_the_file():
     t = np.arange(4.0)
     check_record(Record(t, {"boom.q": t}))
-    bad = np.array([1e6, 1e6, 7e9, 1e6])
-    with pytest.raises(
-        UnitError,
-        match=r"^x: boom.p_head = 7e\+06 kPa at t = 2 s lies outside -200 to 200000 kPa .*in Pa it",
-    ):
-        check_record(Record(t, {"boom.p_head": bad}), "x", units={"boom.p_head": "kPa"})
-    with pytest.raises(LogError, match=r"boom.q is nan at t = 3 s"):
-        check_record(Record(t, {"boom.q": np.array([0, 0, 0, np.nan])}))
-    with pytest.raises(LogError, match=r"stands still at 1 s"):
-        check_record(Record(np.array([0.0, 1.0, 1.0]), {}))
+    bad = Record(t, {"boom.p_head": np.array([1e6, 1e6, 7e9, 1e6])})
+    says = r"^x: boom.p_head = 7e\+06 kPa at t = 2 s lies outside -200 to 200000 kPa .*in Pa it"
+    with pytest.raises(UnitError, match=says):
+        check_record(bad, "x", units={"boom.p_head": "kPa"})
     with pytest.raises(LogError, match=r"the time is -inf"):
         check_record(Record(np.array([-np.inf, 1.0]), {}))
-    with pytest.raises(LogError, match="no samples"):
-        check_record(Record(np.empty(0), {}))
-
-
-def test_facts_are_plain_json(tmp_path):
-    write_log(tmp_path / "a.mcap", recording(3))
-    with open(tmp_path / "a.mcap", "rb") as file:
-        first = next(iter(make_reader(file).iter_attachments()))
-    assert json.loads(first.data)["meta"] == recording(3).meta
 
 
 def test_the_examples_of_the_documentation_run(tmp_path, monkeypatch):

@@ -82,13 +82,8 @@ def test_settings_list_themselves():
     class Settings:
         window: float = setting(0.1, "s", "Length of a window.", "Half a period at 5 Hz.")
 
-    assert rows(Settings())[0] == (
-        "window",
-        0.1,
-        "s",
-        "Length of a window.",
-        "Half a period at 5 Hz.",
-    )
+    about = ("s", "Length of a window.", "Half a period at 5 Hz.")
+    assert rows(Settings()) == [("window", 0.1, *about)]
 
 
 def test_steps_of_one_text_are_as_many_as_their_lines():

@@ -106,14 +106,6 @@ def test_many_digits_are_a_number_or_a_sentence(cell, tmp_path):
         assert cell.lstrip("0")[0] == "9" and error.line == 3
 
 
-@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
-def test_utf_16_without_its_mark(encoding, tmp_path):
-    (tmp_path / "a.csv").write_bytes("t;p\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))
-    (table,) = open_source(tmp_path / "a.csv").tables
-    assert [column.name for column in table.columns] == ["t", "p"]
-    assert table.columns[1].values.tolist() == [1.5, 2.5, 3.5]
-
-
 def test_a_header_goes_on_over_lines_and_a_second_name_retains_its_unit(tmp_path):
     text = '"Time\n[s]","Pressure\r\n[kPa]","Pressure\n[kPa]"\n0.1,1,4\n0.2,2,5\n0.3,x,6\n'
     (tmp_path / "a.csv").write_bytes(text.encode())

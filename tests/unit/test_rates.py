@@ -52,12 +52,8 @@ def test_signals_that_take_turns_are_each_of_their_own_rate(turns, tmp_path):
 
 
 def test_a_slow_signal_in_rows_of_the_fast_one_has_its_own_rate(tmp_path):
-    rows = [
-        f"{0.01 * n:.4f},{20 + 0.1 * n:.6f},{3.0 * n:.1f},{0}"
-        if n % 10 == 0
-        else f"{0.01 * n:.4f},{20 + 0.1 * n:.6f},,{0}"
-        for n in range(200)
-    ]
+    angles = [f"{3.0 * n:.1f}" if n % 10 == 0 else "" for n in range(200)]
+    rows = [f"{0.01 * n:.4f},{20 + 0.1 * n:.6f},{q},0" for n, q in enumerate(angles)]
     record = read_bus(tmp_path, rows)
     np.testing.assert_allclose(np.degrees(record["ram.q"][:191]), 3.0 * np.arange(191), atol=1e-9)
 
@@ -118,12 +114,8 @@ def test_absolute_pressures_are_drafted_with_their_offset(tmp_path, monkeypatch)
     lines = ["Zeit\tpA Kolben\tpB Ring\tSpule", "s\tbar(a)\tbar(g)\tmA"]
     lines += [f"{0.001 * n:.3f}\t5{n % 3}\t3{n % 2}\t{300 + n}" for n in range(50)]
     (tmp_path / "p.txt").write_text("\n".join(lines) + "\n")
-    assert [column.unit for column in open_source(tmp_path / "p.txt").tables[0].columns] == [
-        "s",
-        "bar(a)",
-        "bar",
-        "mA",
-    ]
+    units = [column.unit for column in open_source(tmp_path / "p.txt").tables[0].columns]
+    assert units == ["s", "bar(a)", "bar", "mA"]
     monkeypatch.chdir(tmp_path)
     draft(tmp_path / "p.txt")
     text = (tmp_path / "p.map.toml").read_text()

@@ -30,7 +30,6 @@ from ehbench.data.readers import (
 )
 from ehbench.data.readers.clock import clock
 from ehbench.data.record import lost
-from ehbench.data.text import split
 from ehbench.vocabulary.errors import InputError, LogError
 from tests.shared import ROOT, refused
 from tools.fuzz import foreign
@@ -142,14 +141,9 @@ def test_a_formula_in_an_mdf_file_is_never_evaluated(version, kind, text, tmp_pa
     marker, path, t = tmp_path / "ran", tmp_path / "a.mdf", np.linspace(0.0, 1.0, 40)
     text = text.format(marker=str(marker))
     with asammdf.MDF(version=version) as file:
-        file.append(
-            [
-                asammdf.Signal(t, t, unit="bar", name="Supply"),
-                asammdf.Signal(
-                    t, t, unit="bar", name="Head", conversion=from_dict(_formula(kind, text))
-                ),
-            ]
-        )
+        conversion = from_dict(_formula(kind, text))
+        supply = asammdf.Signal(t, t, unit="bar", name="Supply")
+        file.append([supply, asammdf.Signal(t, t, unit="bar", name="Head", conversion=conversion)])
         path = Path(file.save(path, overwrite=True))
     source = open_source(path, Dialect())
     (table,) = source.tables
@@ -326,8 +320,11 @@ def test_the_dialect_of_a_text_is_found(text, tmp_path):
     assert again.dialect == source.dialect
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32", "cp1252"])
+@pytest.mark.parametrize(
+    "encoding", "utf-8 utf-8-sig utf-16 utf-16-le utf-16-be utf-32 cp1252".split()
+)
 def test_encodings(encoding, tmp_path):
+    """Of UTF-16 with its mark and without."""
     (tmp_path / "a.csv").write_bytes("t;Öl °C\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))
     (table,) = open_source(tmp_path / "a.csv").tables
     assert [column.name for column in table.columns] == ["t", "Öl °C"]
@@ -354,11 +351,6 @@ def test_clock_goes_on_over_midnight_and_knows_zones():
     assert clock(["31.02.2026 12:00:00"])[1] is None
 
 
-def test_split_keeps_what_stands_in_quotes():
-    assert split('1;"a;b";3', ";") == ["1", "a;b", "3"]
-    assert split("1  2\t3", " ") == ["1", "2", "3"]
-
-
 def test_an_archive_is_known_by_what_is_in_it(files, tmp_path, monkeypatch):
     """All archives begin alike. A workbook is one under any name, a new reader gets those with
     its members, and an archive of neither is refused with what it holds.
@@ -367,11 +359,9 @@ def test_an_archive_is_known_by_what_is_in_it(files, tmp_path, monkeypatch):
 
     def read_lists(path: Path, dialect: Dialect) -> Source:
         with zipfile.ZipFile(path) as archive:
-            columns = (
-                SourceColumn(name.removesuffix(".list"), np.array(json.loads(archive.read(name))))
-                for name in archive.namelist()
-            )
-            return Source((SourceTable("", tuple(columns)),))
+            lists = {name: json.loads(archive.read(name)) for name in archive.namelist()}
+        columns = (SourceColumn(n.removesuffix(".list"), np.array(x)) for n, x in lists.items())
+        return Source((SourceTable("", tuple(columns)),))
 
     module.read = read_lists
     monkeypatch.setitem(sys.modules, module.__name__, module)

@@ -28,9 +28,8 @@ def test_rigs_survive_writing_and_take_every_parameter(path, tmp_path):
     rig = load_rig(path)
     for name, value in rig.parameters().items():
         other = float(value) * 1.01 + 1e-6
-        assert float(rig.with_values({name: other}).parameters()[name]) == pytest.approx(
-            other, rel=1e-12
-        ), name
+        changed = rig.with_values({name: other}).parameters()[name]
+        assert float(changed) == pytest.approx(other, rel=1e-12), name
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,8 @@ RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
 ANY: Any = Stub()
 PLAUSIBLE, RINGING, FIRST = plausibility.SETTINGS, series.SETTINGS, initial_states.SETTINGS
 WHITE = np.random.default_rng(1).standard_normal(4000)
+SIGNS = np.where(np.arange(1000) % 2, 1.0, -1.0)
+LATE = np.where(np.arange(1000) == 500, 1.0, 0.0)
 
 
 # --- what a log can be
@@ -37,9 +39,8 @@ def weak(share):
     y = {"press.servo.command": np.full(100, 5.0), "press.p_head": p, "press.p_rod": 0.5 * p}
     y["press.x"] = np.full(100, 0.1)
     log = Record(np.arange(100) * 1e-3, y)
-    return refusal(
-        lambda: plausibility.refuse_pressures("log", log, Model.of(SLIDE), 10, still=False)
-    )
+    model = Model.of(SLIDE)
+    return refusal(lambda: plausibility.refuse_pressures("log", log, model, 10, still=False))
 
 
 def pushes(share):
@@ -48,16 +49,16 @@ def pushes(share):
     return plausibility._pushed(Record(np.arange(100) * 1e-3, y), SLIDE, SLIDE.cylinder[0])
 
 
-def beside_pins(sigmas):
-    """Whether a stroke is off its angle's by so many times its noise, of 5 % of the stroke."""
+def beside_pins(sigmas=0.0, share=0.0):
+    """Whether a stroke is off its angle's by so many times its noise, of 5 % of the stroke, or
+    without noise by a share of it."""
     model, row = Model.of(RIG), Model.of(RIG).plant.cylinders[0]
     q = np.full(4000, plausibility.joint_of(row, 0.5 * float(row.stroke)))
-    noise = 0.05 * float(row.stroke)
-    x = plausibility.linkage_arrays(row, q)[0] + noise * WHITE
-    x += sigmas * series.white_noise(x) - float(np.median(noise * WHITE))
-    return bool(
-        plausibility.off_pins(Record(np.arange(4000) * 1e-3, {"boom.x": x, "boom.q": q}), model)
-    )
+    noise = 0.05 * float(row.stroke) * WHITE if sigmas else 0.0 * WHITE
+    x = plausibility.linkage_arrays(row, q)[0] + noise
+    x += sigmas * series.white_noise(x) - float(np.median(noise)) + share * float(row.stroke)
+    log = Record(np.arange(4000) * 1e-3, {"boom.x": x, "boom.q": q})
+    return bool(plausibility.off_pins(log, model))
 
 
 def begins_moving(share, count=100, first=50):
@@ -79,9 +80,8 @@ def at_end(before=(-20.0, -10.0, -5.0), run=6, others=1):
 def gaps_kept(share):
     """Whether a log is filled of which a share of the steps lack samples."""
     steps = np.where(np.arange(2000) < 2000 * share, 4e-3, 1e-3)
-    log = Record(
-        np.cumsum(np.random.default_rng(1).permutation(steps)), {"press.v": np.zeros(2000)}
-    )
+    t = np.cumsum(np.random.default_rng(1).permutation(steps))
+    log = Record(t, {"press.v": np.zeros(2000)})
     return time_base.parts_of("log", log)[0][0].record is not log
 
 
@@ -159,8 +159,7 @@ def noisy_place(share):
     x = 0.5 * float(row.stroke) + 1e-6 * WHITE[:1000]
     volume = float(row.volume_head + row.area_head * 0.5 * row.stroke)
     worth = float(row.bulk_modulus * row.area_head) / volume * series.white_noise(x)
-    wave = np.where(np.arange(1000) % 2, 1.0, -1.0)
-    y = {"press.x": x, "press.p_head": 1e7 + worth / share * wave}
+    y = {"press.x": x, "press.p_head": 1e7 + worth / share * SIGNS}
     log = Record(np.arange(1000) * 1e-3, y)
     return len(list(plausibility._coarse(log, model)))
 
@@ -174,23 +173,12 @@ def at_valve(share):
     return bool(plausibility.on_at_first(log, SLIDE, 5))
 
 
-def pins(share):
-    """Whether a stroke is off its angle's by so much of it, without noise."""
-    model, row = Model.of(RIG), Model.of(RIG).plant.cylinders[0]
-    q = np.full(100, plausibility.joint_of(row, 0.5 * float(row.stroke)))
-    x = plausibility.linkage_arrays(row, q)[0] + share * float(row.stroke)
-    y = {"boom.x": x, "boom.q": q}
-    return bool(plausibility.off_pins(Record(np.arange(100) * 1e-3, y), model))
-
-
 def high(times):
     """The refusal of a pressure so many times the largest that the rig can make."""
     cylinder = SLIDE.cylinder[0]
     top = max(float(SLIDE.supply.pressure), float(cylinder.relief_pressure or 0.0))
-    seen = {"p_head": np.full(9, times * top)}
-    return refusal(
-        lambda: plausibility._peak("log", SLIDE, cylinder, seen, float(SLIDE.supply.pressure), 0.0)
-    )
+    seen, supply = {"p_head": np.full(9, times * top)}, float(SLIDE.supply.pressure)
+    return refusal(lambda: plausibility._peak("log", SLIDE, cylinder, seen, supply, 0.0))
 
 
 def turned(alike):
@@ -275,7 +263,7 @@ def follows_on(gain):
 
 def least_scale():
     """The least scale of a channel of unit spread in an estimate of a first state."""
-    record = Record(np.arange(100) * 1e-3, {"press.v": np.where(np.arange(100) % 2, 1.0, -1.0)})
+    record = Record(np.arange(1000) * 1e-3, {"press.v": SIGNS})
     start: Any = Stub(record=record)
     return round(float(initial_states._Follow(ANY, start, ("press.v",)).floor[0]), 9)
 
@@ -318,9 +306,8 @@ def first_of(tick):
 
 def step_of_bias():
     term: Any = Stub(per_log=True, std=2.0, name="press.v.zero")
-    log = Record(
-        np.arange(100) * 1e-3, {"press.v": np.zeros(100), "press.servo.command": np.zeros(100)}
-    )
+    y = {"press.v": np.zeros(100), "press.servo.command": np.zeros(100)}
+    log = Record(np.arange(100) * 1e-3, y)
     numbers = initial_states.initial_state_of(Model.of(SLIDE), log, (), (), (term,)).uncertain
     return [number.step for number in numbers if number.bias]
 
@@ -391,21 +378,13 @@ def first_start():
 # --- stamps
 
 
-def jitters(rms):
+def is_even(off):
     """Whether a clock is even whose stamps are off by so many periods."""
-    off = rms * np.where(np.arange(100) % 2, 1.0, -1.0)
-    return timestamps.Timestamps(1.0, np.arange(100), off).even
+    return timestamps.Timestamps(1.0, np.arange(off.size), off).even
 
 
 def enough(count):
     return timestamps.timestamps_of(np.arange(count) * 1.0) is not None
-
-
-def stray(share):
-    """Whether a clock is even of which one stamp is late by so many periods."""
-    off = np.zeros(1000)
-    off[500] = share
-    return timestamps.Timestamps(1.0, np.arange(1000), off).even
 
 
 def beyond(share):
@@ -437,15 +416,13 @@ def off_stamps(share):
     """Notes on 1000 rows that last so much longer than their stamps."""
     t = np.arange(1000) * 1e-3
     group: Any = Stub(t=(1.0 + share) * t, stamped=t, title="rows")
-    group.stamped = group.stamped + np.zeros(1000)
     return len(channels._rate_note(group))
 
 
 def twice(share):
     """Rows that repeat the one before, of which a time shows so many."""
-    t = np.sort(
-        np.concatenate([np.arange(1000.0), np.arange(round(1000.0 * share / (1.0 - share)))])
-    )
+    again = np.arange(round(1000.0 * share / (1.0 - share)))
+    t = np.sort(np.concatenate([np.arange(1000.0), again]))
     return bool(rates.repeated(t, []).any())
 
 
@@ -465,22 +442,17 @@ def turns(both):
 
 def rate_of_few(count):
     """Whether a signal of so few values has a rate of its own."""
-    one, other = np.arange(40) < count, np.ones(40, bool)
-    one[:] = False
+    one, other = np.zeros(40, bool), np.ones(40, bool)
     one[: 3 * count : 3] = True
     return rates._take_turns(one, other)
 
 
 def held(hole):
     """Whether rows are left out where another table has a hole of so many of its samples."""
-    table: Any = Stub(name="", lines=None)
     t = np.concatenate([np.arange(20.0), 19.0 + hole + np.arange(20.0)])
     fast = np.arange(0.0, t[-1], 0.1)
-    groups = [
-        rates.Group(table, time, None, None, {name: time})
-        for time, name in ((fast, "press.v"), (t, "press.x"))
-    ]
-    losses = []
+    each = ((fast, "press.v"), (t, "press.x"))
+    groups, losses = [rates.Group("", time, channels={name: time}) for time, name in each], []
     rates.joined(groups, losses)
     return bool(losses)
 
@@ -619,8 +591,7 @@ def transient(late=0, error=0.0):
     t = np.arange(1000) * 1e-3
     y = {"press.servo.command": np.where(np.arange(1000) < 500 - late, 0.0, 5.0), "press.v": t}
     rings = series.Ringing(60.0, 0.1, 0.0, 0.0, stop=9.0, ok=True)
-    off = math.sqrt(error) * np.where(np.arange(1000) % 2, 1.0, -1.0)
-    pairs: Any = {"press.v": Stub(recorded=t, simulated=t + off)}
+    pairs: Any = {"press.v": Stub(recorded=t, simulated=t + math.sqrt(error) * SIGNS)}
     with (answers(series, transients=[slice(500, 900)], ringing=rings, ringing_like=rings),
           answers(transients, why_not_judged="", noise_of=1.0)):  # fmt: skip
         seen = transients.transients_of(Record(t, y), Model.of(SLIDE), "press", pairs)
@@ -670,7 +641,7 @@ ROWS = [
     (PLAUSIBLE, "travel", lambda: [travels(s) for s in (0.019, 0.021)], [False, True]),
     (PLAUSIBLE, "still", lambda: [stands_still(s) for s in (0.9e-4, 1.1e-4)], [1, 0]),
     (PLAUSIBLE, "worth", lambda: [noisy_place(s) for s in (0.095, 0.105)], [0, 1]),
-    (timestamps.SETTINGS, "rms", lambda: [jitters(x) for x in (0.24, 0.26)], [True, False]),
+    (timestamps.SETTINGS, "rms", lambda: [is_even(x * SIGNS) for x in (0.24, 0.26)], [True, False]),
     (timestamps.SETTINGS, "fewest", lambda: [enough(n) for n in (19, 20)], [False, True]),
     (timestamps.SETTINGS, "coarse", lambda: [stamped(s) for s in (0.09, 0.11)], [False, True]),
     (RINGING, "samples", lambda: [few_samples(n) for n in (23, 24)], ["few_samples", ""]),
@@ -680,7 +651,8 @@ ROWS = [
     (rates.SETTINGS, "fewest", lambda: [rate_of_few(n) for n in (3, 4)], [False, True]),
     (PLAUSIBLE, "on", lambda: [at_valve(s) for s in (0.009, 0.011)], [False, True]),
     (PLAUSIBLE, "first", lambda: [begins_moving(h, 3, 400) for h in (0.6, 0.8)], [False, True]),
-    (PLAUSIBLE, "off_pins", lambda: [pins(s) for s in (0.0047, 0.0053)], [False, True]),
+    (PLAUSIBLE, "off_pins", lambda: [beside_pins(share=s) for s in (0.0047, 0.0053)],
+     [False, True]),
     (PLAUSIBLE, "apart", lambda: [high(n) for n in (4.9, 5.1)],
      ["", "preprocessing.high_pressure"]),
     (PLAUSIBLE, "against", lambda: [turned(a) for a in (-0.47, -0.53)], [0, 1]),
@@ -699,7 +671,8 @@ ROWS = [
      ["no_oscillation", ""]),
     (RINGING, "grid", coarse_search, [200, 250, 250, 125, 62]),
     (RINGING, "inside", first_start, 0.05),
-    (timestamps.SETTINGS, "largest", lambda: [stray(s) for s in (0.98, 1.02)], [True, False]),
+    (timestamps.SETTINGS, "largest", lambda: [is_even(s * LATE) for s in (0.98, 1.02)],
+     [True, False]),
     (timestamps.SETTINGS, "rounded", lambda: [beyond(s) for s in (0.58, 0.64)], [True, False]),
     (timestamps.SETTINGS, "lossy", lambda: [lossy(s) for s in (0.77, 0.87)], [True, False]),
     (rates.SETTINGS, "shared", lambda: [turns(n) for n in (9, 11)], [True, False]),

@@ -64,19 +64,14 @@ def test_channels_share_one_oscillation():
     t, wave = oscillation(25.0, 0.1, 1.0)
     _, other = oscillation(25.0, 0.1, 1.0, phase=2.0)
     rng = np.random.default_rng(2)
-    both = np.column_stack(
-        [
-            1e5 * (wave + 0.3 * rng.standard_normal(t.size)) + 2e6,
-            0.01 * (other + 0.3 * rng.standard_normal(t.size)),
-        ]
-    )
+    noisy = [each + 0.3 * rng.standard_normal(t.size) for each in (wave, other)]
+    both = np.column_stack([1e5 * noisy[0] + 2e6, 0.01 * noisy[1]])
     alone, joint = series.ringing(t, both[:, 0]), series.ringing(t, both)
     assert joint.ok and abs(joint.natural_frequency - 25.0) < 4 * joint.natural_frequency_std
     assert joint.natural_frequency_std < alone.natural_frequency_std
     dead = np.column_stack([both, np.full(t.size, 3.0)])
-    assert series.ringing(t, dead).natural_frequency == pytest.approx(
-        joint.natural_frequency, rel=1e-9
-    )
+    found = series.ringing(t, dead).natural_frequency
+    assert found == pytest.approx(joint.natural_frequency, rel=1e-9)
 
 
 def test_ringing_says_why_there_is_none():
@@ -95,14 +90,10 @@ def test_ringing_says_why_there_is_none():
 
 def test_noise_seldom_passes_for_ringing():
     t = np.arange(0.0, 1.0, 1.0 / RATE)
-    white = sum(
-        series.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
-        for seed in range(30)
-    )
-    slow = sum(
-        series.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
-        for seed in range(30)
-    )
+    white = slow = 0
+    for seed in range(30):
+        white += series.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
+        slow += series.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
     assert white == 0
     assert slow <= 5  # measured 5 %; a slow random walk does look like a decaying wave now and then
 
@@ -219,9 +210,8 @@ def test_bands_allow_for_colour():
         r = series.correlation(x, u, 20)
         outside.append(np.mean(np.abs(r) > series.correlation_band(x, u)))
         white.append(np.mean(np.abs(r) > 1.96 / math.sqrt(1500)))
-    assert np.mean(outside) == pytest.approx(
-        0.05, abs=0.03
-    )  # 150 series of 41 strongly correlated lags
+    # 150 series of 41 strongly correlated lags
+    assert np.mean(outside) == pytest.approx(0.05, abs=0.03)
     assert np.mean(white) > 0.3
 
 

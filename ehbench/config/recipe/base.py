@@ -132,7 +132,6 @@ def dotted(raw: Any, entry_keys: Set[str] = frozenset()) -> Any:
     them.
 
     Args:
-        raw: a table.
         entry_keys: keys of a table that is itself an entry, with values that are not all tables;
             none where entries are plain values.
     """

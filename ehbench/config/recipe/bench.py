@@ -129,7 +129,7 @@ class DatasetLog(FileModel):
 
     @model_validator(mode="after")
     def _below_half_the_rate(self) -> Self:
-        refuse_fast_waves(self)
+        refuse_fast_waves(self.command, self.rate)
         return self
 
 

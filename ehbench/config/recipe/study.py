@@ -6,6 +6,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.config.recipe.base import Recipe, dotted
 from ehbench.config.recipe.toml import as_list
+from ehbench.config.rig.names import second
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
 
@@ -38,11 +39,8 @@ class Spread(FileModel):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        given = {
-            name
-            for name in ("low", "high", "mean", "std", "median", "spread")
-            if getattr(self, name) is not None
-        }
+        numbers = {name for names in LAWS.values() for name in names}
+        given = {name for name in numbers if getattr(self, name) is not None}
         fitting = [law for law, names in LAWS.items() if given == set(names)]
         if not fitting or (self.law is not None and self.law not in fitting):
             required = "low and high, mean and std, or median and spread"
@@ -201,11 +199,9 @@ class StudyRecipe(Recipe):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         labels = [measure.label for measure in self.measures]
-        for label in labels:
-            if labels.count(label) > 1:
-                raise ValueError(message("config.measure_twice", label=label))
+        if (at := second(labels)) is not None:
+            raise ValueError(message("config.measure_twice", label=labels[at]))
         keys = [*self.draw, *self.sweep, *self.seeds]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise ValueError(message("config.varied_twice", key=key))
+        if (at := second(keys)) is not None:
+            raise ValueError(message("config.varied_twice", key=keys[at]))
         return self

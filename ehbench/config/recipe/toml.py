@@ -71,13 +71,8 @@ def lines_of(text: str) -> dict[tuple[Any, ...], int]:
                     counts[prefix] = counts.get(prefix, -1) + 1
                 if prefix in counts:
                     prefix += (counts[prefix],)
-            for known in list(counts):
-                if (
-                    len(known) >= len(prefix)
-                    and known[: len(prefix)] == prefix
-                    and known != prefix[:-1]
-                ):
-                    del counts[known]
+            for known in [known for known in counts if known[: len(prefix)] == prefix]:
+                del counts[known]
             lines.setdefault(prefix, number)
             if isinstance(prefix[-1], int):
                 lines.setdefault(prefix[:-1], number)
@@ -171,13 +166,11 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
         InputError: with file, line, key, value and the nearest valid key.
     """
     try:
-        return TypeAdapter(model).validate_python(table, context=FROM_FILE)
-    except ValidationError as error:
-        result = error.errors()
-    except RecursionError:
-        raise InputError(message("config.table_nested"), file=path) from None
-    first = next((e for e in result if e["type"] == "extra_forbidden"), result[0])
-    try:
+        try:
+            return TypeAdapter(model).validate_python(table, context=FROM_FILE)
+        except ValidationError as error:
+            result = error.errors()
+        first = next((e for e in result if e["type"] == "extra_forbidden"), result[0])
         explained, location, hint = _explained(model, table, dict(first))
     except RecursionError:
         raise InputError(message("config.table_nested"), file=path) from None

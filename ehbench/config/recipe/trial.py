@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.config.recipe.base import ByParameter, Payload, Recipe
 from ehbench.config.recipe.toml import as_list
 from ehbench.config.rig import LoadSensing, LowRail
+from ehbench.config.rig.names import second
 from ehbench.control import LAW_NAMES
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
 from ehbench.vocabulary.messages import message
@@ -235,31 +236,24 @@ class Motion(CylinderMotion):
     release: Literal["continue", "end"] = "continue"
 
     @model_validator(mode="after")
-    def _a_path(self) -> Motion:
-        if self.kind != "path":
-            if self.points or self.cylinders:
-                raise ValueError(message("config.points_of_path"))
+    def _of_its_kind(self) -> Motion:
+        if self.kind == "path":
+            if len(self.points) < 2:
+                raise ValueError(message("config.path_needs_points_two"))
+            if self.speed is None:
+                raise ValueError(message("config.path_needs_speed"))
+            if self.cylinder is not None or self.also:
+                raise ValueError(message("config.path_names_cylinders"))
             return self
-        if len(self.points) < 2:
-            raise ValueError(message("config.path_needs_points_two"))
-        if self.speed is None:
-            raise ValueError(message("config.path_needs_speed"))
-        if self.cylinder is not None or self.also:
-            raise ValueError(message("config.path_names_cylinders"))
-        return self
-
-    @model_validator(mode="after")
-    def _single_motion_of_each(self) -> Motion:
-        if not self.also:
-            return self
+        if self.points or self.cylinders:
+            raise ValueError(message("config.points_of_path"))
         if any(item.kind == "path" for item in self.also):
             raise ValueError(message("config.path_under_also"))
-        names = [self.cylinder, *(item.cylinder for item in self.also)]
-        if None in names:
+        names = [item.cylinder or "" for item in self.each] if self.also else []
+        if "" in names:
             raise ValueError(message("config.also_needs_cylinder"))
-        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-        if twice is not None:
-            raise ValueError(message("config.cylinder_twice", twice=twice))
+        if (at := second(names)) is not None:
+            raise ValueError(message("config.cylinder_twice", twice=names[at]))
         return self
 
     @property
@@ -388,24 +382,14 @@ def refuse_unmatched(controller: Controller, motions: Sequence[Motion]) -> None:
             raise ValueError(message("config.controller_without_motion", name=name))
 
 
-class Sampled(Protocol):
-    """What samples open-loop commands at a rate."""
-
-    @property
-    def command(self) -> tuple[Command, ...]: ...
-
-    @property
-    def rate(self) -> Value: ...
-
-
-def refuse_fast_waves(trial: Sampled) -> None:
-    """Refuse sines that samples at the trial's rate cannot hold.
+def refuse_fast_waves(commands: Sequence[Command], rate: Value) -> None:
+    """Refuse sines that samples at a rate [Hz] cannot hold.
 
     Raises:
         ValueError: names the first.
     """
-    half = 0.5 * float(trial.rate)
-    for command in trial.command:
+    half = 0.5 * float(rate)
+    for command in commands:
         for key in ("frequency", "frequency_max"):
             requested = getattr(command, key)
             if command.kind not in ("sine", "multisine") or requested is None:
@@ -443,12 +427,8 @@ class AnyTrial(Recipe):
     supply: OtherSupply = OtherSupply()
 
     @model_validator(mode="after")
-    def _below_half_the_rate(self) -> AnyTrial:
-        refuse_fast_waves(self)
-        return self
-
-    @model_validator(mode="after")
-    def _times_grow(self) -> AnyTrial:
+    def _in_time(self) -> AnyTrial:
+        refuse_fast_waves(self.command, self.rate)
         times = [0.0, *(float(change.at) for change in self.payload_change)]
         if any(later <= sooner for sooner, later in zip(times, times[1:], strict=False)):
             raise ValueError(message("config.payload_times"))
@@ -539,32 +519,19 @@ class TrialSetRecipe(AnyTrial):
     controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _noise_differs(self) -> TrialSetRecipe:
+    def _whole(self) -> TrialSetRecipe:
         if self.seeds > 1 and self.on != "bench":
             raise ValueError(message("config.seeds_of_bench"))
-        return self
-
-    @model_validator(mode="after")
-    def _names_differ(self) -> TrialSetRecipe:
         for what, names in (
             ("payload", list(self.payloads)),
             ("motion", [m.name or m.kind for m in self.motion]),
             ("machine", [m.name for m in self.machine]),
             ("controller", [c.label for c in self.controller]),
         ):
-            twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-            if twice is not None:
-                raise ValueError(message("config.entry_twice", what=what, twice=twice))
-        return self
-
-    @model_validator(mode="after")
-    def _nobody_waits(self) -> TrialSetRecipe:
+            if (at := second(names)) is not None:
+                raise ValueError(message("config.entry_twice", what=what, twice=names[at]))
         if any(i.kind == "operator" and not i.file for m in self.motion for i in m.each):
             raise ValueError(message("config.operator_of_set"))
-        return self
-
-    @model_validator(mode="after")
-    def _controllers_fit(self) -> TrialSetRecipe:
         for law in self.controller:
             refuse_unmatched(law, self.motion)
         return self

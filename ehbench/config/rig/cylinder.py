@@ -128,14 +128,10 @@ class Cylinder(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _friction_fits(self) -> Cylinder:
+    def _parts_fit(self) -> Cylinder:
         if self.friction and (misfit := self.friction.misfit(float(self.friction_coulomb))):
             key, words = misfit
             raise Misplaced(words, "friction", key)
-        return self
-
-    @model_validator(mode="after")
-    def _linkage_reaches(self) -> Cylinder:
         if self.pins is not None:
             low, high = (abs(float(self.pins.l_a) + way * float(self.pins.l_b)) for way in (-1, 1))
             length = self.pins.retracted_length
@@ -147,6 +143,9 @@ class Cylinder(FileModel):
                 raise Misplaced(text, "pins", "retracted_length")
             if self.rack is not None:
                 raise Misplaced(message("config.pins_and_rack"), "rack")
+        if (at := second([line.end for line in self.line])) is not None:
+            text = message("config.line_twice", end=self.line[at].end)
+            raise Misplaced(text, "line", at, "end")
         return self
 
     @property
@@ -158,13 +157,6 @@ class Cylinder(FileModel):
     def linkage_word(self) -> str:
         """The rig file's word for it."""
         return "pins" if self.rack is None else "rack"
-
-    @model_validator(mode="after")
-    def _single_line_at_each_end(self) -> Cylinder:
-        if (at := second([line.end for line in self.line])) is not None:
-            text = message("config.line_twice", end=self.line[at].end)
-            raise Misplaced(text, "line", at, "end")
-        return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> Cylinder:

@@ -184,11 +184,9 @@ class Rig(FileModel):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Joint names, base first (one name for a slide)."""
-        return (
-            (self.mechanism.name,)
-            if isinstance(self.mechanism, Slide)
-            else tuple(j.name for j in self.mechanism.joint)
-        )
+        if isinstance(self.mechanism, Slide):
+            return (self.mechanism.name,)
+        return tuple(joint.name for joint in self.mechanism.joint)
 
     def cylinder_named(self, name: str) -> Cylinder:
         """The cylinder of that name.
@@ -402,11 +400,11 @@ class Rig(FileModel):
                 text = message("config.no_parameter", rig=self.name, name=name)
                 raise InputError(text, hint=nearest(name, known, "nearest is '{}'"))
             prefix, dot, key = name.rpartition(".")
-            new.setdefault(prefix + dot, {})[key] = (
-                replace(value, unit=value.unit or known[name].unit)
-                if isinstance(value, Value)
-                else replace(known[name], value=float(value), text=None)
-            )
+            if isinstance(value, Value):
+                number = replace(value, unit=value.unit or known[name].unit)
+            else:
+                number = replace(known[name], value=float(value), text=None)
+            new.setdefault(prefix + dot, {})[key] = number
         rig = self
         for prefix, place, part in self.parts():
             update = new.get(prefix, {})

@@ -74,11 +74,6 @@ class Supply(FileModel):
                 results |= {name: float(getattr(item, name)) for name in type(item).model_fields}
         return results
 
-    @model_validator(mode="after")
-    def _follows_the_load(self) -> Self:
-        self.check_following()
-        return self
-
     def check_following(self) -> None:
         """Refuse a way to follow the load that does not go with the rest.
 
@@ -98,7 +93,8 @@ class Supply(FileModel):
             raise Misplaced(message("config.holds_pressure", other=other), other)
 
     @model_validator(mode="after")
-    def _above_tank(self) -> Self:
+    def _pressures_fit(self) -> Self:
+        self.check_following()
         if float(self.pressure) > _HIGHEST_PRESSURE:
             sizes = {"given": float(self.pressure), "maximum": _HIGHEST_PRESSURE}
             fields = {key: self.pressure.like("pressure", x) for key, x in sizes.items()}

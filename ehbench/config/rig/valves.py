@@ -240,16 +240,11 @@ class Valve(FileModel):
                 raise Misplaced(message("config.no_deadband", law=edge.law), shared)
             opens = max(self.onset(edge), 0.0) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
-                way = (
-                    f"commands above {opens:g} V"
-                    if edge.sign > 0
-                    else f"commands below {0.0 - opens:g} V"
-                )
-                raise Misplaced(
-                    message("config.edge_never_opens", way=way, lowest=lowest, highest=highest),
-                    "edge",
-                    index,
-                )
+                side, volts = ("above", opens) if edge.sign > 0 else ("below", 0.0 - opens)
+                fields = {"lowest": lowest, "highest": highest}
+                way = f"commands {side} {volts:g} V"
+                text = message("config.edge_never_opens", way=way, **fields)
+                raise Misplaced(text, "edge", index)
         return self
 
     @property

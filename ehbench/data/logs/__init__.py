@@ -9,5 +9,3 @@ from __future__ import annotations
 
 from ehbench.data.logs.checks import check_record
 from ehbench.data.logs.writing import CHUNK_SIZE, LogWriter, write_log
-
-__all__ = ["CHUNK_SIZE", "LogWriter", "check_record", "write_log"]

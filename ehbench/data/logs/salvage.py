@@ -80,16 +80,9 @@ class Salvage:
         from mcap.exceptions import McapError
 
         # what the libraries below raise on bytes that are not what they claim to be
-        self.broken = (
-            struct.error,
-            ValueError,
-            LookupError,
-            OverflowError,
-            MemoryError,
-            RecursionError,
-            McapError,
-            zstandard.ZstdError,
-        )
+        too_large = (OverflowError, MemoryError, RecursionError)
+        libraries = (struct.error, McapError, zstandard.ZstdError)
+        self.broken = (ValueError, LookupError, *too_large, *libraries)
         self.zstd, self.unpacker = zstandard, zstandard.ZstdDecompressor()
         self.data = data
         self.streams: dict[int, Stream] = {}
@@ -158,9 +151,8 @@ class Salvage:
             if opcode == CHUNK:
                 (name,) = struct.unpack_from("<I", self.data, start + 28)
                 at = start + 32 + name
-                return (
-                    at + 8 <= stop and at + 8 + struct.unpack_from("<Q", self.data, at)[0] == stop
-                )
+                size = struct.unpack_from("<Q", self.data, at)[0]
+                return at + 8 <= stop and at + 8 + size == stop
             at = start + 16
             for _ in range(2):
                 at += 4 + struct.unpack_from("<I", self.data, at)[0]
@@ -181,10 +173,8 @@ class Salvage:
                 raise ValueError
         elif opcode == ATTACHMENT:
             (crc,) = struct.unpack_from("<I", data, stop - 4)
-            if not self._framed(opcode, start, stop) or crc not in (
-                0,
-                crc32(data[start : stop - 4]),
-            ):
+            sums = (0, crc32(data[start : stop - 4]))
+            if not self._framed(opcode, start, stop) or crc not in sums:
                 raise Unreadable(message("data.attachment_checksum"))
             record = unpack(Attachment, data[start:stop])
             if record.name == FACTS:
@@ -194,9 +184,7 @@ class Salvage:
         elif opcode == METADATA:
             record = unpack(Metadata, data[start:stop])
             if record.name != "ehbench":
-                self.meta.update(
-                    {f"{record.name}.{key}": value for key, value in record.metadata.items()}
-                )
+                self.meta |= {f"{record.name}.{key}": x for key, x in record.metadata.items()}
         elif opcode in (SCHEMA, CHANNEL, MESSAGE):
             self._loose += data[start - 9 : stop]
         elif opcode == DATA_END:
@@ -288,10 +276,7 @@ class Salvage:
             for offset, _ in pattern.values()
             for part in HEADS
         ]
-        count, block = (
-            0,
-            256,
-        )  # how many messages have the opcodes, lengths and channels of the first
+        count, block = 0, 256  # messages with the opcodes, lengths and channels of the first
         while count < maximum:
             same = np.ones(min(block, maximum - count), bool)
             for head in heads:

@@ -18,12 +18,7 @@ _EXAMPLE = "t [s],boom.q [rad]"
 
 
 def read_csv(path: Path, check: bool, window: Window | None = None) -> Record:
-    """A CSV log whose header names channels with their units.
-
-    Args:
-        path: the file.
-        check: refuse data that `check_record` refuses.
-        window: [s] what lies outside may be no number.
+    """A CSV log whose header names channels with their units; arguments as in `ehbench.data.read`.
 
     Raises:
         LogError, UnitError: with file, line and column.

@@ -24,18 +24,6 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.text import listed, shortened_path
 
-__all__ = [
-    "SourceColumn",
-    "Dialect",
-    "READERS",
-    "Reader",
-    "Source",
-    "SourceTable",
-    "open_source",
-    "reader_of",
-    "suffixes",
-]
-
 
 class Reader(NamedTuple):
     """A format: what it is called, how its files end and begin, the module here that reads it and

@@ -119,12 +119,8 @@ def time_of_day(cells: Iterable[str]) -> float | None:
 
 
 def since_1970(seconds: float, days: bool) -> float | None:
-    """The wall clock [s since 1970] of a count [s] since the beginning of some calendar, None of
-    one that counts from a beginning of its own.
-
-    Args:
-        seconds: the count in seconds.
-        days: whether the file counts days.
+    """The wall clock [s since 1970] of a count [s] since the beginning of some calendar, which a
+    file may count in ``days``; None of one that counts from a beginning of its own.
     """
     count = seconds / _DAY if days else seconds
     for of_days, low, high, zero in _EPOCHS:

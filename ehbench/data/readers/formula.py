@@ -17,6 +17,7 @@ from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _FORMULA_LIMIT = 400  # characters; every step of a formula costs a pass over all samples
+_VARIABLES = ("X", "X1")  # the readings
 _TOKEN = re.compile(r"[A-Za-z]\w*|(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?!\w)|[-+*/^(), ]", re.ASCII)
 _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -38,13 +39,8 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
 }
 
 
-def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "X1")) -> np.ndarray:
-    """What a formula makes of readings, NaN where that is no finite number.
-
-    Args:
-        text: such as ``25*(X1-0.4)``.
-        values: the readings.
-        variables: what it may call them.
+def evaluate(text: str, values: np.ndarray) -> np.ndarray:
+    """What a formula such as ``25*(X1-0.4)`` makes of readings, NaN where that is no finite number.
 
     Raises:
         LogError: the formula has anything else in it than numbers, operators and functions.
@@ -60,7 +56,7 @@ def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return np.float64(number)
-            case ast.Name() if node.id in variables:
+            case ast.Name() if node.id in _VARIABLES:
                 return readings
             case ast.UnaryOp() if type(node.op) in _OPERATORS:
                 return _OPERATORS[type(node.op)](value_of(node.operand))

@@ -235,9 +235,8 @@ def _heads(
         rows = {n: split(bare(lines[n]), separator)[:width] for n in (names, *block)}
         own = {n: [cell for cell in row if cell and cell != row[0]] for n, row in rows.items()}
         # one name comes again: another row tells the columns apart
-        return next(
-            (n for n, row in own.items() if row and len(set(row)) == len(row)), names
-        ), units
+        tells = (n for n, row in own.items() if row and len(set(row)) == len(row))
+        return next(tells, names), units
     wide: list[list[str]] = []
     at: list[int] = []
     below = False  # whether remarks stand below the header, which is none itself then
@@ -300,12 +299,7 @@ def sections_of(
 ) -> list[tuple[int, list[str]]]:
     """(line before it, lines) of each table. A table begins with rows of words that name its
     columns, behind a blank line or amid numbers; under the head of the one before it goes on, and
-    that head is blank.
-
-    Args:
-        lines: of the file.
-        marks: as of `marks_of`.
-        dialect: of the first table.
+    that head is blank. ``dialect`` is that of the first table.
     """
 
     def layout(first: int, end: int, dialect: Dialect) -> TextLayout | None:

@@ -32,10 +32,9 @@ def read(path: Path, dialect: Dialect) -> Source:
     refuse_beyond(24.0 * sum(sizes), "reading it")
     result = loadmat(str(path), squeeze_me=True, struct_as_record=False, appendmat=False)
     gathered = Gathered()
-    losses = gathered.losses
     for name, value in result.items():
         if not name.startswith("__"):
-            _add(gathered, "", name, value, losses)
+            _add(gathered, "", name, value)
     names, units = (getattr(result.get(word), "__dict__", {}) for word in ("names", "units"))
     start, step = result.get("Tstart"), result.get("Tinterval")  # of a PicoScope
     tables = []
@@ -49,33 +48,31 @@ def read(path: Path, dialect: Dialect) -> Source:
         if isinstance(start, Real) and isinstance(step, Real) and not table.name:
             t = float(start) + float(step) * np.arange(table.size)
         tables.append(replace(table, columns=columns, t=t))
-    return Source(tuple(tables), losses=tuple(losses))
+    return Source(tuple(tables), losses=tuple(gathered.losses))
 
 
-def _add(gathered: Gathered, place: str, name: str, value: Any, losses: list[str]) -> None:
+def _add(gathered: Gathered, place: str, name: str, value: Any) -> None:
     """Take a variable by its whole name, or the fields of a struct; ``place`` is the struct that it
     is in.
     """
     if fields := getattr(value, "_fieldnames", None):
         if name.count(".") < _DEEPEST:
             content = {field: getattr(value, field) for field in fields}
-            _add_struct(gathered, place, name, content, losses)
+            _add_struct(gathered, place, name, content)
         else:
-            losses.append(message("data.not_read", name=name))
+            gathered.losses.append(message("data.not_read", name=name))
         return
     array = np.asarray(value)
     if hasattr(value, "dtype") and value.dtype.names and "s2" in value.dtype.names:
-        losses.append(message("data.matlab_object", name=name))
+        gathered.losses.append(message("data.matlab_object", name=name))
     elif array.dtype == object and array.size and hasattr(array.flat[0], "_fieldnames"):
         for index, item in enumerate(array.flat, 1):
-            _add(gathered, place, f"{name}({index})", item, losses)
+            _add(gathered, place, f"{name}({index})", item)
     elif not gathered.add(place, name, array) and array.size > 1 and array.dtype.kind != "U":
-        losses.append(message("data.not_read", name=name))
+        gathered.losses.append(message("data.not_read", name=name))
 
 
-def _add_struct(
-    gathered: Gathered, place: str, name: str, content: Mapping[str, Any], losses: list[str]
-) -> None:
+def _add_struct(gathered: Gathered, place: str, name: str, content: Mapping[str, Any]) -> None:
     """Take the fields of a struct. One with a single vector of numbers is a channel: it stands
     among those beside it, by its label and with its unit.
     """
@@ -93,16 +90,16 @@ def _add_struct(
         elif field.lower() in _DATA and _is_vector(item):
             where, label = place if len(vectors) == 1 else name, text_of(_NAMES)
             if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNIT_FIELDS)):
-                losses.append(message("data.not_read", name=f"{name}.{field}"))
+                gathered.losses.append(message("data.not_read", name=f"{name}.{field}"))
         elif field.lower() == "y" and clocked and not _is_vector(item):
             for index, channel in enumerate(np.atleast_1d(np.asarray(item, object)), 1):
                 clock = getattr(channel, "XIndex", 1)
-                _add(gathered, f"{name}.X({clock})", f"{name}.{field}({index})", channel, losses)
+                _add(gathered, f"{name}.X({clock})", f"{name}.{field}({index})", channel)
         elif field.lower() == "x" and clocked:
             for index, channel in enumerate(clocks, 1):
-                _add(gathered, f"{name}.X({index})", f"{name}.X({index})", channel, losses)
+                _add(gathered, f"{name}.X({index})", f"{name}.X({index})", channel)
         else:
-            _add(gathered, name, f"{name}.{field}", item, losses)
+            _add(gathered, name, f"{name}.{field}", item)
 
 
 def _is_vector(item: Any) -> bool:

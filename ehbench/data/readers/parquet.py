@@ -8,16 +8,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ehbench.data.readers.table import (
-    Dialect,
-    Source,
-    SourceColumn,
-    SourceTable,
-    column_names,
-    columns_of,
-)
+from ehbench.data.readers.table import Dialect, Gathered, Source
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _UNITS = (b"unit", b"units", b"Unit", b"Units")
@@ -29,27 +21,15 @@ def read(path: Path, dialect: Dialect) -> Source:
         rows, schema = file.metadata.num_rows, file.schema_arrow
         refuse_beyond(24.0 * rows * len(schema), "reading it")
         table = file.read(use_threads=False)  # this is a child of a fork
-    columns: list[SourceColumn] = []
-    began, losses = None, []
+    gathered = Gathered()
     for field, chunks in zip(schema, table.columns):
-        unit = next(((field.metadata or {}).get(key) for key in _UNITS if field.metadata), None)
-        values = _values(field, chunks)
+        about, values = field.metadata or {}, _values(field, chunks)
         if values is None:
-            losses.append(message("data.not_read", name=field.name))
+            gathered.losses.append(message("data.not_read", name=field.name))
             continue
-        text = (unit or b"").decode("utf-8", "replace")
-        try:
-            parts = columns_of(field.name, values, text)
-        except LogError as error:
-            reason = message("data.not_converted", name=field.name, reason=error.message)
-            losses.append(reason)
-            continue
-        for column, first in parts:
-            columns.append(column)
-            began = first if began is None else began
-    names = column_names([column.name for column in columns])
-    built = tuple(SourceColumn(name, item.values, item.unit) for name, item in zip(names, columns))
-    return Source((SourceTable("", built, None, began),), losses=tuple(losses))
+        unit = next((about[key] for key in _UNITS if key in about), b"")
+        gathered.add("", field.name, values, unit.decode("utf-8", "replace"))
+    return Source(gathered.tables(), losses=tuple(gathered.losses))
 
 
 def _values(field: pa.Field, chunks: pa.ChunkedArray) -> np.ndarray | None:

@@ -255,13 +255,10 @@ class Gathered:
         """The tables, named by where they stand, and by their length too where that is not
         enough.
         """
-        places = [place for place, _ in self._columns]
-        return tuple(
-            SourceTable(
-                place if places.count(place) == 1 else f"{place}[{size}]",
-                tuple(columns),
-                None,
-                self._began[place, size],
-            )
-            for (place, size), columns in self._columns.items()
-        )
+        places, results = [place for place, _ in self._columns], []
+        for (place, size), columns in self._columns.items():
+            names = column_names([column.name for column in columns])
+            unlike = tuple(replace(column, name=n) for n, column in zip(names, columns))
+            name = place if places.count(place) == 1 else f"{place}[{size}]"
+            results.append(SourceTable(name, unlike, None, self._began[place, size]))
+        return tuple(results)
