@@ -298,7 +298,7 @@ def test_pins_that_cannot_be_do_not_end_the_search():
     fit = identify(shipped("crane_proportional"), logs, ["bulk_modulus", *start], start=start)
     assert covers(fit, ("lift.l_a", 1.1)) and covers(fit, ("bulk_modulus", 8e8))
     machine = shipped("crane_proportional")
-    log = prepare(Model.of(machine), logs[0][1], "log", CHANNELS)
+    log = prepare(Model.of(machine), logs[0][1], "log", CHANNELS, (), 1, None)
     impossible = Simulator(machine, [log], ["lift.l_a"], None, 1, 5e-4)
     assert impossible.simulate([[0.1]]) == [[None]]
 

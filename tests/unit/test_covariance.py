@@ -273,7 +273,7 @@ def test_windows_give_the_error_of_their_median(errors, each, std, role):
 def test_a_prior_pulls_from_where_the_parameter_is_to_its_centre():
     """Its coordinate less that of the centre, sharpened; what nothing is known of is not pulled."""
     known = Stub(known=True, sharpness=4.0, centre=1e9, of=np.log10)
-    free = Stub(known=False, sharpness=9.0, centre=np.nan, of=np.log10)
+    free = Stub(known=False, sharpness=9.0, start=1e7, of=np.log10)
     state = Stub(theta=np.array([7.0, 8.5]), prior_weight=2.0)
     prior = prior_of(Stub(search=[free, known]), state, [1, 0])  # type: ignore[arg-type]
     assert prior.sharpness.tolist() == [4.0, 0.0] and prior.weight == 2.0

@@ -1,0 +1,436 @@
+"""Notes, steps and errors of a fit on small arrays, against closed forms and independent sums."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehbench.data.record import BlockAverages, Record
+from ehbench.frequency_response.response import Averaging
+from ehbench.identification import hydraulics, matching, results
+from ehbench.identification.band import Band
+from ehbench.identification.covariance import Block
+from ehbench.identification.descent import step
+from ehbench.identification.frequency_domain import followed, on_response
+from ehbench.identification.problem import Mesh, State
+from ehbench.identification.search import Coordinate
+from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
+from ehbench.identification.simulator import Log
+from ehbench.identification.uncertainty import _fitted
+from ehbench.preprocessing.sensors import VAGUE
+from ehbench.signals.series import Ringing, correlation_time
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.terms import Z95
+from tests.shared import refused
+
+TICK = 1e-3
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def log_of(counts=None, **channels: np.ndarray) -> Log:
+    """A log of the slide whose channels have these words; those of ``command`` are not compared."""
+    names = {
+        f"press.{name}" if name != "command" else "press.servo.command": name for name in channels
+    }
+    every = {name: channels[word] for name, word in names.items()}
+    compared = [name for name in every if not name.endswith("command")]
+    recorded = np.column_stack([every[name] for name in compared])
+    record = Record(np.arange(len(recorded)) * TICK, every)
+    counts = np.ones(recorded.shape, bool) if counts is None else counts
+    start: Any = Stub(terms=(), uncertain=())
+    who = ("press",)
+    return Log("log", record, None, who, who, tuple(compared), recorded, counts, start)
+
+
+WAVE = np.column_stack([1e-3 * np.sin(0.05 * np.arange(400)), 1e3 * np.cos(0.03 * np.arange(400))])
+
+
+@pytest.mark.parametrize(
+    ("ticks", "key"),
+    [(0.2, None), (0.3, "late"), (-0.3, "early"), (4.5, "late"), (-4.5, "early"), (5.2, None)],
+)
+def test_a_log_is_late_by_the_slope_of_its_simulation(rng, ticks, key):
+    """Of channels of all sizes, each by its residual; one sample that does not count is far off."""
+    slope = np.gradient(WAVE, TICK, axis=0)
+    recorded = WAVE - ticks * TICK * slope
+    recorded[:, 1] += 20.0 * rng.standard_normal(400)
+    recorded[7] += 9e9
+    log = log_of(np.arange(400)[:, None] != [7, 7], v=recorded[:, 0], p_head=recorded[:, 1])
+    notes: Any = results._late(log, WAVE)
+    assert [note.key for note in notes] == ([f"identification.{key}"] if key else [])
+    left, use = WAVE - recorded, np.arange(400) != 7
+    size = np.sqrt(np.sum(left[use] ** 2, axis=0) / 400)
+    pair = [(item[use] / size).reshape(-1, 1) for item in (slope, left)]
+    best = float(np.linalg.lstsq(*pair, rcond=None)[0][0, 0])
+    assert not notes or notes[0].fields["delay"] == pytest.approx(1e3 * abs(best), rel=1e-9)
+
+
+@pytest.mark.parametrize(("noise", "told"), [(1.7, 1), (2.3, 0)])
+def test_a_delay_is_told_where_it_explains_a_fifth_of_what_is_left(rng, noise, told):
+    """A channel that stands still is late by nothing."""
+    slope = np.gradient(WAVE, TICK, axis=0)[:, 0]
+    odd = rng.standard_normal(400)
+    odd -= slope * (odd @ slope) / (slope @ slope)
+    odd *= noise * np.linalg.norm(TICK * slope) / np.linalg.norm(odd)
+    log = log_of(v=WAVE[:, 0] - TICK * slope + odd)
+    assert len(results._late(log, WAVE[:, :1])) == told
+    assert results._late(log, np.ones((400, 1))) == []
+
+
+@pytest.mark.parametrize(("noise", "told"), [(1.2, 1), (2.2, 0)])
+def test_a_channel_that_goes_the_other_way_has_a_correlation_below_a_half(rng, noise, told):
+    """About its mean, of what counts; one of which nothing does and a still one go no way."""
+    wave = WAVE[:, :1] + 5.0
+    y = -wave + noise * 7e-4 * rng.standard_normal(wave.shape)
+    y[:100] = 99.0 * wave[:100]
+    counts = np.ones((400, 3), bool)
+    counts[:100, 0] = counts[:, 1] = False
+    log = log_of(counts, v=y[:, 0], p_head=-wave[:, 0], p_rod=-wave[:, 0])
+    notes: Any = results._turned(log, np.hstack([wave, wave, np.ones((400, 1))]))
+    assert len(notes) == told
+    likeness = np.corrcoef(y[100:, 0], wave[100:, 0])[0, 1]
+    assert not told or notes[0].fields["likeness"] == pytest.approx(likeness)
+    assert not told or notes[0].fields["channel"] == "press.v"
+
+
+def test_how_a_log_fits_is_of_what_counts(rng):
+    """Of a channel of which nothing does it is shown of all."""
+    y = rng.standard_normal((60, 2))
+    counts = np.column_stack([np.arange(60) >= 20, np.zeros(60, bool)])
+    simulated = y + rng.standard_normal((60, 2))
+    fit = results._log_fit(log_of(counts, v=y[:, 0], p_head=y[:, 1]), simulated, None)
+    assert (fit.samples, fit.mean_of, fit.payload) == (60, 1, "none")
+    for i, (name, some) in enumerate([("press.v", slice(20, 60)), ("press.p_head", slice(60))]):
+        left, about = (simulated - y)[some, i], y[some, i] - y[some, i].mean()
+        assert fit.residual_rms[name] == pytest.approx(np.sqrt(np.mean(left**2)))
+        share = np.linalg.norm(left) / np.linalg.norm(about)
+        assert fit.fit_percent[name] == pytest.approx(100.0 * (1.0 - share))
+        assert fit.correlation_time[name] == pytest.approx(correlation_time(left))
+    assert fit.counted == {"press.v": pytest.approx(200.0 / 3.0), "press.p_head": 0.0}
+
+
+def left_over(rng, fit_percent, times, counted=True):
+    """What is said of a speed that is followed so, with so many times its noise left, in a log
+    whose head end is worse but may not count."""
+    y = rng.standard_normal((4000, 2))
+    log = log_of(np.tile([True, counted], (4000, 1)), v=y[:, 0], p_head=y[:, 1])
+    noise = {c: results.noise_of(log.record, c) for c in log.channels}
+    fits: Any = Stub(fit_percent={"press.v": fit_percent, "press.p_head": 10.0})
+    fits.residual_rms = {"press.v": times * noise["press.v"], "press.p_head": 9.0}
+    return results._left_over([log], [fits])
+
+
+def test_what_is_left_over_is_of_the_channel_that_is_followed_worst(rng):
+    worst: Any = left_over(rng, 70.0, 4.0)
+    assert worst.fields["channel"] == "press.p_head"
+    note: Any = left_over(rng, 70.0, 4.0, counted=False)
+    assert (note.fields["channel"], note.fields["log"]) == ("press.v", "log")
+    assert note.fields["share"] == pytest.approx(30.0)
+    assert note.fields["times"] == pytest.approx(4.0)
+    assert left_over(rng, 70.0, 2.0, False) == left_over(rng, 95.0, 4.0, False) == ""
+
+
+def test_logs_that_are_compared_as_means_are_listed_by_how_many():
+    plain = log_of(v=np.arange(60.0))
+    tens, fives = (
+        replace(plain, name=f"of {n}", means=BlockAverages.of(plain.record, n)) for n in (10, 5)
+    )
+    assert results._compared([plain]) == ()
+    one, two = results._compared([plain, tens, replace(tens, name="b"), fives])
+    assert (one.key, one.fields["logs"]) == ("identification.are_compared", "of 10 and b")
+    assert (two.key, two.fields["logs"]) == ("identification.is_compared", "of 5")
+    (every,) = results._compared([tens, replace(tens, name="b")])
+    assert every.fields["logs"] == "all logs"
+    (alone,) = results._compared([tens])
+    assert alone.fields["logs"] == "of 10" and "100 Hz" in alone and "1 kHz" in alone
+
+
+def test_what_is_not_excited_stays_at_its_start_and_is_of_the_data():
+    place = Coordinate("carriage.damping", True, 1.0, 2.0, 0.5, 4.0)
+    item = results.not_excited(place, 9)
+    assert (item.value, item.start, item.lower, item.upper, item.samples) == (2.0, 2.0, 0.5, 4.0, 9)
+    assert (item.std, item.interval, item.prior, item.from_data, item.from_starts) == (
+        None, None, None, 1.0, 0.0)  # fmt: skip
+
+
+def test_a_parameter_that_its_range_tells_is_as_sure_as_that_is_wide():
+    place = Coordinate("carriage.damping", True, 1.0, 2.0, 0.5, 4.0)
+    counts = np.array([[True, False], [False, False], [True, True]])
+    log = Stub(each=10, counts=counts)
+    asked: Any = Stub(search=[place], logs=[log, log])
+    state: Any = Stub(theta=[math.log(2.0)], ranges={0: (math.log(1.0), math.log(3.0))})
+    item = _fitted(asked, state, Stub(by_index={}), 0)  # pyright: ignore[reportArgumentType]
+    assert item.interval == pytest.approx((1.0, 3.0)) and item.std == pytest.approx(1.0 / Z95)
+    assert (item.status, item.error_from, item.samples) == ("estimated", "range", 40)
+
+
+# --- frequency responses
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.2])
+def test_a_response_is_late_by_the_slope_of_its_phase(scatter):
+    """Least squares of the difference by ω, each number by its size; one error is the least."""
+    f = np.linspace(1.0, 9.0, 33)
+    size = 80.0 / f
+    bend = scatter * np.where(np.arange(33) % 3, 1.0, -1.0)
+    seen = size * np.exp(-1j * (2.0 * np.pi * f * 4e-3 + bend))
+    band = Band("u", Averaging(), np.arange(33), f, np.ones((33, 1)))
+    pair = (np.concatenate([y.real, y.imag]) for y in (size + 0j, seen))
+    late, error = band.lateness(*pair)
+    slope, off = 2.0 * np.pi * f * size, size * (2.0 * np.pi * f * 4e-3 + bend)
+    best = float(np.linalg.lstsq(slope[:, None], off, rcond=None)[0][0])
+    assert late == pytest.approx(best, rel=1e-9)
+    spread = max(1.0, float(np.sum((off - best * slope) ** 2)) / 32.0)
+    assert error == pytest.approx(math.sqrt(spread / float(slope @ slope)), rel=1e-9)
+    assert bool(scatter) == (spread > 1.0)
+
+
+def test_what_a_channel_answers_nowhere_is_known_of_nothing():
+    band = Band("u", Averaging(), np.arange(4), np.arange(1.0, 5.0), np.ones((4, 1)))
+    assert band.lateness(np.zeros(8), np.zeros(8)) == pytest.approx((0.0, 1e150))
+
+
+def test_a_log_is_compared_by_its_response_in_units_of_its_errors(rng):
+    """A gain of 2 of a command that has all frequencies: 1 % is the least error."""
+    u = rng.standard_normal(8192)
+    log = on_response(
+        log_of(v=2.0 * u, x=0.5 * rng.standard_normal(8192) + u, command=u),
+        "press.servo.command",
+        Averaging(frequency=200.0, segment=0.512),
+    )
+    band: Any = log.band
+    assert band.frequency[-1] <= 200.0 and band.frequency[-1] > 190.0
+    gain, rest = log.recorded[: band.at.size, 0], log.recorded[band.at.size :, 0]
+    assert gain == pytest.approx(np.full(gain.size, 100.0)) and np.abs(rest).max() < 1e-6
+    assert log.counts.shape == log.recorded.shape == (2 * band.at.size, 2)
+    assert np.isfinite(band.errors[:, 1]).mean() == log.counts[:, 1].mean() < 1.0
+    still = Record(log.record.t, log.record.channels | {"press.x": np.zeros(8192)})
+    speed, stroke = followed(log, still)
+    assert speed.simulated is not None and stroke.simulated is None
+    assert (speed.coherence, speed.channel) == (band.choice.coherence, "press.v")
+
+
+# --- steps
+
+
+def test_a_step_gains_what_it_should_of_a_quadratic_and_ends_at_its_least(rng):
+    """Two logs with a start each, a prior on one parameter; λ of the normal matrix's diagonal."""
+    jacobians, starts = rng.standard_normal((2, 30, 1, 2)), rng.standard_normal((2, 30, 1, 1))
+    residuals, shifts = rng.standard_normal((2, 30, 1)), rng.standard_normal((2, 1))
+    search = [Coordinate(n, False, 1.0, 0.0, -9.0, 9.0) for n in ("a", "b")]
+    search[1] = replace(search[1], prior=0.5, centre=0.3)
+    fields = {"search": search, "bounds": lambda _: np.array([[-9.0, 9.0]] * 2)}
+    asked: Any = Stub(simulator=Stub(misfit=lambda _: ""), values=lambda theta: theta, **fields)
+    state = State(np.array([0.2, -0.1]), [*shifts], {}, np.ones((2, 2)), (0, 1), prior_weight=0.7)
+    blocks = [
+        Block(("v",), *given) for given in zip(jacobians, starts, residuals, shifts, strict=True)
+    ]
+    theta, moved, gain = step(asked, state, blocks, 0.0)
+
+    def price(theta, shifts):
+        left = residuals[..., 0] + jacobians[:, :, 0] @ (theta - state.theta)
+        left = left + starts[:, :, 0, 0] * (np.ravel(shifts) - shifts_before)[:, None]
+        known = np.sum(np.square(shifts)) + ((theta[1] - 0.3) / 0.5) ** 2
+        return float(np.sum(left**2) + 0.7 * known)
+
+    shifts_before = np.ravel(shifts)
+    least = price(theta, moved)
+    assert gain == pytest.approx(price(state.theta, shifts) - least, rel=1e-9)
+    for k in range(4):
+        for side in (1e-3, -1e-3):
+            off = np.eye(4)[k] * side
+            assert price(theta + off[:2], np.ravel(moved) + off[2:]) > least
+    held, _, less = step(asked, state, blocks, 1e3)
+    assert 0.0 < less < gain and np.abs(held - state.theta).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("theta", "shift", "slack", "serves"),
+    [(0.0, 0.0, 1.0, True), (0.019, 0.9, 1.0, True), (-0.021, 0.0, 1.0, False),
+     (0.0, -1.1, 1.0, False), (0.0, 0.0, 100.0, False)],
+)  # fmt: skip
+def test_steps_serve_a_point_that_is_near(theta, shift, slack, serves):
+    mesh = Mesh(np.zeros(2), [np.zeros(1), np.zeros(2)], [], 1.0)
+    moved = [np.zeros(1), np.array([0.0, shift])]
+    assert mesh.serves(np.array([0.0, theta]), moved, slack) == serves
+
+
+# --- options
+
+
+WHERE: Any = lambda *place: {}  # noqa: E731
+
+
+@pytest.mark.parametrize(
+    ("given", "samples", "key"),
+    [
+        (10, 2000, None),
+        (1, 150, None),
+        ("auto", 150, None),
+        (10, 1999, "large_means"),
+        (2, 399, "short_log"),
+        (2, 400, None),
+        (3, 401, "large_means"),
+        (0, 400, "no_count"),
+        (True, 400, "no_count"),
+        (2.0, 4000, "no_count"),
+    ],
+)
+def test_means_leave_a_log_two_hundred_of_them(given, samples, key):
+    records = [("log", Record(np.arange(samples) * TICK, {}))]
+    options: Any = hydraulics.FitOptions(decimate=given)
+    if key is None:
+        assert hydraulics._decimate(records, options, WHERE) == given
+        return
+    with refused(f"identification.{key}", InputError) as said:
+        hydraulics._decimate(records, options, WHERE)
+    if key == "large_means":
+        fields: Any = said.value.message.fields  # pyright: ignore[reportAttributeAccessIssue]
+        assert (fields["means"], fields["maximum"]) == (samples // given, samples // 200)
+
+
+@pytest.mark.parametrize(
+    ("method", "response", "given", "left"),
+    [("thesis", None, "auto", 1), ("thesis", None, 1, 1), ("thesis", None, 2, "thesis_means"),
+     ("output_error", "u", "auto", 1), ("output_error", "u", 2, "response_means"),
+     ("newton", None, 1, "unknown_method")],
+)  # fmt: skip
+def test_what_needs_every_sample_has_it(method, response, given, left):
+    options: Any = hydraulics.FitOptions(method=method, decimate=given)
+    options = replace(options, response=response and (response, Averaging()))
+    records = [(name, Record(np.arange(900) * TICK, {})) for name in ("a", "b")]
+    if left == 1:
+        assert hydraulics._decimate(records, options, WHERE) == 1
+        return
+    with refused(f"identification.{left}", InputError):
+        hydraulics._decimate(records, options, WHERE)
+
+
+@pytest.mark.parametrize("names", [(), ("a", "a")])
+def test_logs_have_names_of_their_own(names):
+    records = [(name, Record(np.arange(900) * TICK, {})) for name in names]
+    with refused("identification.unnamed_logs", InputError):
+        hydraulics._decimate(records, hydraulics.FitOptions(), WHERE)
+
+
+# --- sensors and loads behind the fit
+
+
+def test_logs_in_which_a_row_may_show_have_its_cylinder_and_its_load():
+    logs = [
+        Stub(commanded=("boom",), payload=None),
+        Stub(commanded=("boom", "arm"), payload="50 kg"),
+        Stub(commanded=("arm",), payload="9 kg"),
+    ]
+    fit: Any = Stub(logs=logs)
+    for cylinder, about, which in (
+        ("", "the oil", [0, 1, 2]),
+        ("boom", "boom.sh", [0, 1]),
+        ("", "50 kg.boom.mass", [1]),
+        ("boom", "9 kg.arm.mass", []),
+    ):
+        row: Any = Stub(cylinder=cylinder, about=about)
+        assert _logs_of(fit, row) == which
+
+
+def test_a_sensor_is_asked_with_a_wide_prior_of_its_unit():
+    rows: Any = [
+        Stub(readings=(("press.v", "offset", 5.0),)),
+        Stub(readings=(("press.v", "lag", 2.0),)),
+    ]
+    offset, lag = _terms(rows, True)
+    plain, _ = _terms(rows)
+    assert (plain.known, plain.per, plain.std, plain.per_log) == (0.0, 1.0, 0.0, False)
+    assert offset.std / lag.std == pytest.approx(20.0 * VAGUE["offset"] / VAGUE["lag"])
+
+
+@pytest.mark.parametrize("word", ["offset", "scale", "lag"])
+def test_what_a_sensor_does_to_its_channel_is_read_off(rng, word):
+    """An offset and a scale move the start of the log with them."""
+    y = 5.0 + WAVE[:, 0]
+    log = log_of(np.arange(400)[:, None] > [9, -1], v=y, p_head=1e5 * y)
+    doubts = (Stub(name="press.p_head", std=3.0), Stub(name="press.v", std=0.5))
+    log = replace(log, start=Stub(uncertain=doubts, terms=()))  # pyright: ignore[reportArgumentType]
+    slopes = rng.standard_normal((400, 2, 2))
+    fit: Any = Stub(logs=[log], cutoff=None)
+    residual = rng.standard_normal((400, 2))
+    state: Any = Stub(here=Stub(residuals=[residual]), scales={"press.v": 2.0, "press.p_head": 1.0})
+    row: Any = Stub(numbers=(), readings=(("press.v", word, 0.1),))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ehbench.identification.sensitivity.start_jacobian", lambda *_: [slopes])
+        (change,) = _read_off(fit, state, row) or ()
+        other: Any = Stub(numbers=(), readings=(("press.q", word, 0.1),))
+        assert _read_off(fit, state, other) is None
+        assert _read_off(fit, state, Stub(numbers=(1,), readings=row.readings)) is None  # pyright: ignore[reportArgumentType]
+        assert _read_off(fit, state, Stub(numbers=(), readings=row.readings * 2)) is None  # pyright: ignore[reportArgumentType]
+    seen = y + residual[:, 0]
+    by = {"offset": np.full(400, 0.1), "scale": 0.1 * seen}.get(word)
+    expected = np.zeros((400, 2))
+    expected[:, 0] = -0.1 * np.gradient(seen, TICK) if by is None else by
+    expected = expected * log.counts / [2.0, 1.0]
+    if by is not None:
+        expected = expected - slopes[..., 1] * by[0] / 0.5
+    assert change == pytest.approx(expected)
+
+
+# --- matching of ringing
+
+
+def match_of(search, windows, live=(0,)):
+    work: Any = object.__new__(matching.Matching)
+    work.search, work.windows, work.live, work.rounds = search, windows, [*live], 0
+    work.theta, work.progress = np.array([c.begin for c in search]), lambda *_: None
+    return work
+
+
+def ring(omega, damping):
+    return Ringing(natural_frequency=omega, damping_ratio=damping, ok=not math.isnan(omega))
+
+
+def test_a_damping_is_matched_on_the_rings_of_its_joint_and_the_oil_on_every_frequency():
+    search: Any = [Stub(row=Stub(mode_role=role), owner=owner) for role, owner in
+                   (("frequency", ""), ("decay", "a"))]  # fmt: skip
+    work: Any = object.__new__(matching.Matching)
+    work.search, work.windows = search, [Stub(joint="a"), Stub(joint="b"), Stub(joint="a")]
+    rings = [ring(20.0, 0.1), ring(30.0, 0.2), ring(math.nan, 0.3)]
+    np.testing.assert_allclose(work._measure(0, rings), [math.log(20.0), math.log(30.0), math.nan])
+    np.testing.assert_allclose(work._measure(1, rings), [0.1, math.nan, math.nan])
+
+
+@pytest.mark.parametrize(("log", "steps"), [(True, 0.7), (False, 0.1)])
+def test_a_simulation_that_is_silent_is_damped_less_in_four_rounds_and_then_left_out(log, steps):
+    place: Any = Stub(
+        row=Stub(mode_role="decay"), log=log, bounds=(-9.0, 9.0), begin=0.0, start=0.0
+    )
+    place.of = lambda value: value
+    work = match_of([place], [])
+    seen = []
+    work.aim = [np.array([0.1])]
+    work._rings = lambda theta, _: seen.append(float(theta[0])) or []
+    work._measure = lambda *_: np.array([math.nan])
+    stand = work._stand(None)
+    assert seen == pytest.approx([-steps * k for k in range(5)])
+    assert not stand.converged and work.live == [] and work.theta[0] == 0.0
+    place.bounds = (0.0, 9.0)  # it cannot be damped less
+    work.live, work.rounds, work.theta = [0], 0, np.zeros(1)
+    work._stand(None)
+    assert work.rounds == 1
+
+
+def test_a_window_is_matched_on_its_first_run_of_samples_that_count():
+    y = np.exp(-4.0 * np.arange(400) * TICK) * np.cos(40.0 * np.arange(400) * TICK)
+    counts = np.ones((400, 2), bool)
+    counts[:30, 1] = counts[330:, 0] = False
+    log = log_of(counts, v=y, p_head=1e5 * y)
+    part, columns, found = matching._ringing_of(log, slice(10, 390), "press")
+    assert (part, columns) == (slice(30, 330), (0, 1)) and found.ok
+    assert found.natural_frequency == pytest.approx(math.hypot(40.0, 4.0), rel=1e-3)
+    part, columns, found = matching._ringing_of(log, slice(40, 300), "other")
+    assert (part, columns, found.ok) == (slice(40, 300), (), False)
