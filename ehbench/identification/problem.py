@@ -194,8 +194,8 @@ class Problem:
 def problem_of(
     simulator: Simulator,
     search: Sequence[Coordinate],
-    report: Progress | None = None,
-    max_iterations: int = 100,
+    report: Progress | None,
+    max_iterations: int,
     cutoff: float | None = None,
     journal: Journal | None = None,
 ) -> Problem:

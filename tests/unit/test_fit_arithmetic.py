@@ -230,7 +230,8 @@ def test_a_step_gains_what_it_should_of_a_quadratic_and_ends_at_its_least(rng):
     asked: Any = Stub(simulator=Stub(misfit=lambda _: ""), values=lambda theta: theta, **fields)
     state = State(np.array([0.2, -0.1]), [*shifts], {}, np.ones((2, 2)), (0, 1), prior_weight=0.7)
     blocks = [
-        Block(("v",), *given) for given in zip(jacobians, starts, residuals, shifts, strict=True)
+        Block(("v",), *given, np.zeros((30, 1)), np.zeros(1))
+        for given in zip(jacobians, starts, residuals, shifts, strict=True)
     ]
     theta, moved, gain = step(asked, state, blocks, 0.0)
 

@@ -256,12 +256,13 @@ def test_a_denied_number_is_told_with_its_interval():
     [
         ("bulk_modulus", 1e8, "at_bound", "lower"),
         ("bulk_modulus", 0.99e9, "at_bound", "upper"),
+        ("carriage.damping", 99.0, "at_bound", "lower"),
         ("press.servo_rod_tank.deadband", 0.0, "closed_deadband", "lower"),
         ("press.servo_rod_tank.deadband", 5.0, "at_bound", "upper"),
     ],
 )
 def test_a_bound_is_told_with_its_side(name, value, key, side):
-    ends = (1e8, 1e9) if name == "bulk_modulus" else (0.0, 5.0)
+    ends = {"bulk_modulus": (1e8, 1e9), "carriage.damping": (98.0, 101.0)}.get(name, (0.0, 5.0))
     item = FittedParameter(name, "", value, None, None, *ends, value, "at_bound", 9)
     (note,) = _statuses([item], Stub(rig=shipped("slide_servo"), logs=()))  # pyright: ignore[reportArgumentType]
     assert getattr(note, "key", "") == f"identification.{key}"
