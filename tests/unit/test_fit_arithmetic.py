@@ -10,12 +10,32 @@ import pytest
 
 from ehbench.data.record import BlockAverages, Record
 from ehbench.frequency_response.response import Averaging
-from ehbench.identification import hydraulics, matching, results
+from ehbench.identification import (
+    basins,
+    estimate,
+    hydraulics,
+    matching,
+    means,
+    results,
+    sensitivity,
+)
 from ehbench.identification.band import Band
 from ehbench.identification.covariance import Block
 from ehbench.identification.descent import step
 from ehbench.identification.frequency_domain import followed, on_response
-from ehbench.identification.problem import Mesh, State
+from ehbench.identification.journal import Journal
+from ehbench.identification.problem import (
+    Mesh,
+    Problem,
+    State,
+    at_values,
+    effects,
+    evaluate,
+    initial,
+    pooled,
+    towards,
+    weighed,
+)
 from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
 from ehbench.identification.simulator import Log
@@ -24,6 +44,8 @@ from ehbench.preprocessing.sensors import VAGUE
 from ehbench.signals.series import Ringing, correlation_time
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.terms import Z95
+from tests import analytic_fit
+from tests.settings import answers
 from tests.shared import refused
 
 TICK = 1e-3
@@ -366,7 +388,8 @@ def test_what_a_sensor_does_to_its_channel_is_read_off(rng, word):
     row: Any = Stub(numbers=(), readings=(("press.v", word, 0.1),))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ehbench.identification.sensitivity.start_jacobian", lambda *_: [slopes])
-        (change,) = _read_off(fit, state, row) or ()
+        changes: Any = _read_off(fit, state, row)
+        (change,) = changes
         other: Any = Stub(numbers=(), readings=(("press.q", word, 0.1),))
         assert _read_off(fit, state, other) is None
         assert _read_off(fit, state, Stub(numbers=(1,), readings=row.readings)) is None  # pyright: ignore[reportArgumentType]
@@ -435,3 +458,245 @@ def test_a_window_is_matched_on_its_first_run_of_samples_that_count():
     assert found.natural_frequency == pytest.approx(math.hypot(40.0, 4.0), rel=1e-3)
     part, columns, found = matching._ringing_of(log, slice(40, 300), "other")
     assert (part, columns, found.ok) == (slice(40, 300), (), False)
+
+
+# --- problems and their searches
+
+
+def plain_problem(misfit=lambda values: "", **fields) -> Problem:
+    """Of two numbers between 0 and 10 in units of 2, on no log."""
+    search = [Coordinate(n, False, 2.0, 2.0, 0.0, 20.0) for n in ("a", "b")]
+    simulator: Any = Stub(misfit=misfit, logs=())
+    given = {"spread": {}, "averaged": {}, "cutoff": None} | fields
+    return Problem(simulator, tuple(search), 2, 2, max_iterations=9, report=lambda *_: None,
+                   journal=Journal(), **given)  # fmt: skip
+
+
+def test_a_number_has_the_room_that_another_leaves_it():
+    """a + b ≤ 6, that is 3 in their units; the limit says why."""
+    asked = plain_problem(lambda values: "too much" if sum(values) > 6.0 else "")
+    theta = np.array([1.0, 1.5])
+    assert asked.room(theta, [0, 1]) == pytest.approx(np.array([[0.0, 1.5], [0.0, 2.0]]), abs=1e-5)
+    assert asked.room(theta, [1])[0, 1] <= 2.0
+    assert asked.limit_at(np.array([1.5 - 5e-6, 1.5]), 0) == "too much"
+    assert asked.limit_at(np.array([1.5 - 5e-5, 1.5]), 0) == ""
+    state = State(theta, [], {}, np.ones((2, 0)), (0, 1))
+    assert towards(asked, state, 0, 1.2).theta.tolist() == [1.2, 1.5]
+    assert towards(asked, state, 0, 9.0).theta == pytest.approx([1.5, 1.5], abs=1e-5)
+
+
+def test_a_residual_is_cut_and_that_of_a_failure_is_ten_spreads():
+    log = log_of(np.arange(4)[:, None] > [0, -1], v=np.zeros(4), p_head=np.ones(4))
+    asked = plain_problem(spread={"press.v": 2.0, "press.p_head": 3.0})
+    failed = asked.residual(log, None)
+    assert failed.tolist() == [[0.0, 30.0]] + [[20.0, 30.0]] * 3
+    far = asked.residual(log, np.array([[9e9, -9e9]] * 4))
+    assert far.tolist() == [[0.0, -3e6]] + [[2e6, -3e6]] * 3
+
+
+def test_scales_are_of_what_is_left_and_of_what_means_leave_out_but_no_less_than_the_floor():
+    asked = analytic_fit.problem()
+    state = evaluate(asked, initial(asked))
+    left = {c: pooled(asked.logs, c, state.here.residuals) for c in ("press.x", "press.v")}
+    noisy = replace(asked, averaged={"press.x": 2.0 * left["press.x"], "press.v": 0.0})
+    scales = weighed(noisy, state).scales
+    assert scales["press.x"] == pytest.approx(math.sqrt(5.0) * left["press.x"])
+    assert scales["press.v"] == pytest.approx(left["press.v"])
+    wide = {"press.x": 1.0, "press.v": 1e6 * left["press.v"]}
+    assert weighed(replace(noisy, spread=wide), state).scales["press.v"] == pytest.approx(
+        5e3 * left["press.v"]
+    )
+    assert weighed(noisy, state, scales=False).scales == state.scales
+
+
+def test_an_effect_is_the_largest_of_any_channel_as_a_share_of_its_spread():
+    asked = replace(analytic_fit.problem(), spread={"press.x": 2.0, "press.v": 8.0})
+    state = replace(initial(asked), scales={"press.x": 1.0, "press.v": 4.0})
+    first, second = np.ones((50, 2, 2)), np.ones((50, 2, 2))
+    first[:25, 0, 0], second[:, 1, 1] = 7.0, -6.0
+    found = effects(asked, state, [first, second])
+    assert found == pytest.approx([0.5 * math.sqrt(25.0), 3.0])
+    assert effects(asked, state, [first], [0]) == pytest.approx([2.5, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("values", "theta"),
+    [({"a": 8.0}, [4.0, 1.0]), ({"b": -1.0}, [1.0, 3e-3]), ({"a": 99.0}, [10.0 - 3e-3, 1.0])],
+)
+def test_a_state_at_values_is_just_inside_the_bounds(values, theta):
+    asked = plain_problem()
+    asked.simulator.unshifted = lambda: []
+    assert at_values(asked, values).theta == pytest.approx(theta)
+
+
+def test_a_look_goes_a_decade_either_way_and_varies_the_damping_by_four():
+    asked = analytic_fit.problem()
+    theta = np.zeros(3) + initial(asked).theta
+    vectors, each = basins._points(asked, theta, [0], [1])
+    assert each == 3 and len(vectors) == 3 * 12
+    moved = np.array(vectors) - theta
+    assert np.unique(np.round(moved[:, 1], 6)).tolist() == [-1.4, 0.0, 1.4]
+    assert not moved[0].any() and not moved[:, 2].any()
+    assert moved[3::3, 0] == pytest.approx(np.linspace(-1.0, 1.0, 11) * math.log(10.0))
+    vectors, each = basins._points(asked, theta, [2], [])
+    assert (each, len(vectors)) == (1, 98)
+    asked = replace(asked, search=(*asked.search[:2], replace(asked.search[2], upper=0.06)))
+    top = np.array(basins._points(asked, theta, [2], [])[0])[:, 2].max()
+    assert top == pytest.approx(math.log(0.06) - 1e-6, abs=1e-9)
+
+
+# --- between which values the logs do not deny a parameter
+
+
+@pytest.mark.parametrize(
+    ("rise", "ends", "lowest"),
+    [
+        (lambda x: x**2, (-1.96, 1.96), (0.0, 0.0)),
+        (lambda x: x**2 * (x < 0.0), (-1.96, 3.0), (0.0, 0.0)),
+        (lambda x: x**2 * (x > 0.0), (-3.0, 1.96), (0.0, 0.0)),
+        (lambda x: 9.0 * (abs(x) > 1.7) - 5.0 * (1.4 < x < 1.6), (-1.7, 1.7), (-5.0, 1.5)),
+    ],
+)
+def test_halvings_find_where_a_parameter_is_denied(rise, ends, lowest):
+    points = np.arange(-3.0, 4.0)
+    state: Any = Stub(theta=np.zeros(1), prior_weight=1.0)
+    asked = np.array([float(rise(x)) for x in points])
+    with answers(estimate, _rises=lambda *given: (np.array([float(rise(given[3][0]))]), 0.0)):
+        found, least, at = estimate._interval_ends(state, state, 0, points, asked)
+    assert found == pytest.approx(ends, abs=1.0 / 32.0)
+    assert (least, at) == pytest.approx(lowest)
+    state.prior_weight = 2.0  # a sample counts for more
+    with answers(estimate, _rises=lambda *given: (np.array([float(rise(given[3][0]))]), 0.0)):
+        wider = estimate._interval_ends(state, state, 0, points, asked)[0]
+    assert wider == pytest.approx(
+        [2.77 if x == 1.96 else -2.77 if x == -1.96 else x for x in ends], abs=0.04
+    )
+
+
+# --- how many samples are a mean
+
+
+@pytest.mark.parametrize(
+    ("count", "tick", "frequency", "cutoff", "each"),
+    [
+        (6000, 1e-4, 100.0, None, 5),
+        (6000, 1e-4, 10.0, None, 10),
+        (6000, 1e-4, 100.0, 125.0, 4),
+        (6000, 1e-4, 300.0, None, None),
+        (600, 1e-4, 100.0, None, 3),
+        (599, 1e-4, 100.0, None, None),
+        (6000, 3.4e-4, 10.0, None, None),
+    ],
+)
+def test_a_mean_lasts_a_twentieth_of_the_fastest_period(count, tick, frequency, cutoff, each):
+    log = Record(np.arange(count) * tick, {"press.v": np.zeros(count)})
+    with answers(means, fastest=frequency):
+        found = means.means_of(Stub(), log, "auto", cutoff)  # pyright: ignore[reportArgumentType]
+    assert (found and found.each) == each
+
+
+# --- fixed numbers
+
+
+class Row(Stub):
+    """A row of the fault table, which is a key."""
+
+    __hash__ = object.__hash__  # pyright: ignore[reportAssignmentType]
+
+
+def suspect(name, gain, move, certainty=1, bounds=(-9.0, 9.0)):
+    row: Any = Row(name=name, bounds=bounds, certainty=certainty, gain=gain, move=move)
+    return sensitivity._Suspect(row, [np.ones((3, 1))], (0,))
+
+
+def test_rows_that_promise_are_the_likeliest_and_of_these_the_least_sure_first():
+    """Each goes to its best δ, within bounds, and the estimates with it by as much."""
+    every = [
+        suspect("sure", 50.0, 2.0, 5),
+        suspect("guessed", 40.0, 9.0, 0, (-1.0, 3.0)),
+        suspect("low", 30.0, -4.0, 3, (-1.0, 1.0)),
+        suspect("less", 20.0, 1.0, 0),
+        suspect("at zero", 60.0, -2.0, 0, (0.0, 1.0)),
+        suspect("little", 4.9, 1.0, 0),
+    ]
+    fit: Any = Stub(logs=[Stub()])
+    result: Any = Stub(state=Stub(live=(0,), theta=np.array([7.0])), blocks=[])
+
+    def release(_, __, item, minimum):
+        assert minimum == math.inf
+        return Stub(gain=item.row.gain, move=item.row.move, follow=np.array([6.0]))
+
+    with answers(sensitivity, cost=100.0, prior_of=None, _with=lambda _, some: some, _logs_of=[0],
+                 _columns={}, _release=release, gains_of=lambda some, _: [i.row.gain for i in some],
+                 _moved=lambda _, __, theta: (Stub(theta=float(theta[0])),)):  # fmt: skip
+        found = sensitivity._promising(fit, result, every, Stub())  # pyright: ignore[reportArgumentType]
+        assert sensitivity._promising(fit, result, [], Stub()) == []  # pyright: ignore[reportArgumentType]
+    assert [item.row.name for item in found] == ["guessed", "low", "sure", "less"]
+    assert [item.delta for item in found] == [3.0, -1.0, 2.0, 1.0]
+    assert [item.explains for item in found] == pytest.approx([0.4, 0.3, 0.5, 0.2])
+    shares = [3.0 / 9.0, 1.0 / 4.0, 1.0, 1.0]
+    assert [float(item.follow[0]) for item in found] == pytest.approx([6.0 * x for x in shares])
+    moved: Any = [item.moved[0] for item in found]
+    assert [item.theta for item in moved] == pytest.approx([7.0 + 6.0 * x for x in shares])
+
+
+@pytest.mark.parametrize(("extra", "noise"), [(0.0, True), (0.5, False)])
+def test_white_noise_alone_is_asked_of_no_fixed_number(extra, noise):
+    asked = analytic_fit.problem()
+    asked = replace(asked, spread=dict(asked.spread))
+    state = evaluate(
+        asked, at_values(asked, dict(zip(analytic_fit.NAMES, analytic_fit.TRUTH, strict=True)))
+    )
+    swing = 0.02 * extra * np.sin(np.arange(600) / 9.0)[:, None]
+    spread = np.array([asked.spread[c] for c in ("press.x", "press.v")])
+    left = [residual + swing * spread * math.sqrt(2.0) for residual in state.here.residuals]
+    state = replace(state, point=replace(state.here, residuals=left))
+    for log in asked.logs:
+        log.recorded = log.recorded + 0.0  # pyright: ignore[reportAttributeAccessIssue]
+    assert sensitivity._only_noise(asked, weighed(asked, state)) == noise
+    assert not sensitivity._only_noise(replace(asked, cutoff=9.0), weighed(asked, state))
+
+
+def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells():
+    """Drift, parts among several, readings that are estimated or seen as a spectrum."""
+
+    def row(name, kind="mass", level=1, step=0.02, numbers=True, readings=()):
+        item: Any = Row(name=name, kind=kind, level=level, row=Stub(step=step), edits=())
+        item.parameters, item.numbers, item.readings = (name,), (1,) if numbers else (), readings
+        return item
+
+    speed, lag = (("press.v", "offset", 1.0),), (("press.v", "lag", 1.0),)
+    every = [
+        row("a"),
+        row("fitted"),
+        row("no slope", step=0.0),
+        row("part", level=0),
+        row("gain of a part", "gain", level=0),
+        row("drift", "drift"),
+        row("nothing", numbers=False),
+        row("known", numbers=False, readings=speed),
+        row("lag", numbers=False, readings=lag),
+    ]
+    term = Stub(channel="press.v", word="offset")
+    log: Any = Stub(
+        commanded=("press",), channels=("press.v",), band=None, start=Stub(terms=(term,))
+    )
+    log.record = Record(np.arange(3.0), {})
+    rig = Stub(with_values=lambda values: values)
+    simulator = Stub(known={"fitted": 1.0}, names=("fitted",), rig=rig, maps=None)
+    fit: Any = Stub(
+        simulator=simulator, logs=[log], by_name=lambda _: {"fitted": 2.0, "c.lag": 3.0}
+    )
+    seen = []
+
+    def asked(*given):
+        seen.append(given[:3])
+        return every
+
+    with answers(sensitivity, hypotheses=asked):
+        found = sensitivity._fixed_rows(fit, Stub(theta=None))  # pyright: ignore[reportArgumentType]
+        assert [item.name for item in found] == ["a", "gain of a part", "lag"]
+        assert seen == [({"fitted": 2.0}, ["press"], ["press.v"])]
+        log.band = Stub()
+        found = sensitivity._fixed_rows(fit, Stub(theta=None))  # pyright: ignore[reportArgumentType]
+    assert [item.name for item in found] == ["a", "gain of a part"]
