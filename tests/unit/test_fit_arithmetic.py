@@ -32,21 +32,22 @@ from ehbench.identification.problem import (
     effects,
     evaluate,
     initial,
+    jacobian,
     pooled,
     towards,
     weighed,
 )
 from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
-from ehbench.identification.simulator import Log
+from ehbench.identification.simulator import Effort, Log
 from ehbench.identification.uncertainty import _fitted
 from ehbench.preprocessing.sensors import VAGUE
 from ehbench.signals.series import Ringing, correlation_time
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.terms import BEYOND, Z95
 from tests import analytic_fit
 from tests.settings import answers
-from tests.shared import refused
+from tests.shared import refused, shipped
 
 TICK = 1e-3
 
@@ -700,3 +701,238 @@ def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells()
         log.band = Stub()
         found = sensitivity._fixed_rows(fit, Stub(theta=None))  # pyright: ignore[reportArgumentType]
     assert [item.name for item in found] == ["a", "gain of a part"]
+
+
+@pytest.mark.parametrize(("beyond", "freed"), [(0.4, 0), (0.6, 1)])
+def test_a_number_that_moves_an_estimate_by_half_of_its_interval_is_freed(beyond, freed):
+    item = Stub(row=Stub(kind="mass"), beyond=beyond * BEYOND, explains=0.5)
+    fit: Any = Stub(simulator=Stub(effort=Stub(evaluations=100)))
+    asked = []
+    with answers(sensitivity, _only_noise=False, _screened=([], ()), _promising=lambda *_: [item],
+                 _confirmed=lambda *given: asked.append(given)):  # fmt: skip
+        sensitivity.doubts_of(fit, Stub(), Stub())  # pyright: ignore[reportArgumentType]
+    assert len(asked) == freed
+
+
+@pytest.mark.parametrize(
+    ("there", "after", "confirmed"), [(2.5, 80.0, True), (2.3, 80.0, False), (2.5, 96.0, False)]
+)
+@pytest.mark.parametrize("number", [True, False])
+def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, number):
+    """Four errors of 0.1 from where it is held, and a twentieth of the cost less."""
+    held = Stub(name="b", unit=0.5, here=2.0)
+    still = Stub(name="a", unit=0.0, here=9.0)
+    row: Any = Stub(numbers=(still, held) if number else (), remedy=lambda *_: "free it")
+    search = [
+        Coordinate("a", False, 1.0, 1.0, 0.0, 9.0),
+        Coordinate("b", False, 1.0, 1.0, -9.0, 9.0),
+    ]
+    value = there if number else there - 2.0
+    end = Stub(theta=np.array([1.0, value]))
+    errors = Stub(state=end, by_index={1: Stub(std=0.1)})
+    fit: Any = Stub(search=search[:1], simulator=Stub(rig=None))
+    result: Any = Stub(state=Stub(live=(0,)))
+    item: Any = Stub(row=row, delta=1.0)
+    with answers(sensitivity, _freed=(Stub(search=search), None, [1]), solve=(None, True),
+                 evaluate=None, errors_of=errors, _moved=("moved",),
+                 cost=lambda _, state: after if state is end else 100.0):  # fmt: skip
+        found = sensitivity._confirmed(fit, result, item, Stub())  # pyright: ignore[reportArgumentType]
+    assert (found is not None) == confirmed
+    if found:
+        lean = found[1]
+        assert (lean.name, lean.here, lean.there) == ("b", 2.0 if number else 0.0, value)
+        assert (lean.std, lean.explains) == pytest.approx((0.1, 0.2))
+
+
+def test_a_reading_is_freed_where_a_slope_says_and_with_all_that_is_known():
+    asked = analytic_fit.problem()
+    plain = {"rig": None, "maps": None, "workers": 1, "step": "auto", "names": analytic_fit.NAMES}
+    vars(asked.simulator).update(plain)
+    state = replace(evaluate(asked, initial(asked)), prior_weight=0.5)
+    jacobian(asked, state, (0, 1))
+    row: Any = Row(readings=(("press.v", "offset", 0.5),), numbers=(), edits=(), upper={})
+    columns = [np.full((600, 2), 1.0 + k) for k in range(2)]
+    item = sensitivity._Suspect(
+        row, columns, (0, 1), delta=0.3, follow=np.array([0.01, 9e9, -0.02])
+    )
+
+    def simulator(rig, logs, names, *rest):
+        assert names == [*analytic_fit.NAMES, "press.v.offset"]
+        for log in logs:
+            log.start = Stub(**vars(log.start) | {"terms": sensitivity._terms([row], True)})
+        return analytic_fit.Closed(logs)
+
+    with answers(sensitivity, Simulator=simulator, _with_terms=lambda logs, _: logs):
+        freed, begin, new = sensitivity._freed(asked, state, item, Effort())
+    assert new == [3] and begin.free == (0, 1, 2, 3) and begin.prior_weight == 0.5
+    place = freed.search[3]
+    assert begin.theta[3] * place.unit == pytest.approx(0.3 * 0.5)
+    assert begin.theta[:3] - state.theta == pytest.approx([0.01, math.log(1e3), -0.02])
+    for k in range(2):
+        sizes = np.array([state.scales[c] for c in ("press.x", "press.v")])
+        built = columns[k] * sizes * place.unit / 0.5
+        assert begin.here.columns[3, k] == pytest.approx(built)
+        assert begin.here.columns[1, k] is state.here.columns[1, k]
+
+
+def test_what_rows_change_is_a_difference_over_its_step_in_units_of_the_scales():
+    """Of numbers at once, of sensors at once; zero in logs that are not asked, gone where one
+    simulation fails."""
+
+    def row(name, inside, numbers=(), readings=()):
+        item: Any = Row(name=name, inside=inside, numbers=numbers, readings=readings, edits=())
+        return item
+
+    def moved(name, here, unit):
+        return Stub(name=name, here=here, at=lambda delta: here + delta * unit)
+
+    mass, oil = row("mass", 0.1, (moved("m", 2.0, 3.0),)), row("oil", -0.2, (moved("o", 5.0, 1.0),))
+    speed = row("speed", 0.5, readings=(("press.v", "offset", 4.0),))
+    broken = row("broken", 1.0, (moved("x", 7.0, 1.0),))
+    logs = [
+        Stub(channels=("press.v",), recorded=np.zeros((3, 1)), start=Stub(terms=())) for _ in "ab"
+    ]
+    here = Stub(theta=None, residuals=[np.ones((3, 1)), np.ones((3, 1))], shifts=["s", "t"])
+    here.mesh = Stub(steps="steps")
+    asked = []
+
+    def each(points, steps):
+        asked.extend((names[-1], list(vector), k, shift, steps) for vector, k, shift in points)
+        return [None if 8.0 in v else np.full((3, 1), 1.0 + sum(v)) for v, *_ in points], None
+
+    names: list[str] = []
+
+    def simulator(rig, logs, given, *rest):
+        names[:] = given
+        return Stub(each=each)
+
+    simulated = Stub(rig=None, names=["p"], maps=None, workers=1, step="auto")
+    fit: Any = Stub(
+        simulator=simulated, logs=logs, values=lambda _: [10.0], residual=lambda _, y: y
+    )
+    state: Any = Stub(here=here, scales={"press.v": 2.0})
+    which = {mass: [0], oil: [1], speed: [0, 1], broken: [0]}
+    with answers(sensitivity, Simulator=simulator, _with_terms=lambda logs, _: logs):
+        found = sensitivity._columns(fit, state, which, Stub())  # pyright: ignore[reportArgumentType]
+    assert [vector for name, vector, *_ in asked if name == "x"] == [
+        pytest.approx([10.0, 2.3, 5.0, 7.0]),
+        pytest.approx([10.0, 2.0, 4.8, 7.0]),
+        pytest.approx([10.0, 2.0, 5.0, 8.0]),
+    ]
+    assert asked[-2:] == [("press.v.offset", [10.0, 2.0], k, "st"[k], "steps") for k in (0, 1)]
+    assert found.keys() == {mass, oil, speed}
+    assert found[mass][0] == pytest.approx(np.full((3, 1), 24.3 / 0.1 / 2.0))
+    assert not found[mass][1].any() and not found[oil][0].any()
+    assert found[oil][1] == pytest.approx(np.full((3, 1), 23.8 / -0.2 / 2.0))
+    assert found[speed][0] == pytest.approx(np.full((3, 1), 12.0 / 0.5 / 2.0))
+
+
+# --- what no fit takes
+
+
+@pytest.mark.parametrize(
+    ("given", "std", "key"),
+    [
+        ({}, 1.0, None),
+        ({"method": "thesis"}, 0.0, None),
+        ({"method": "thesis"}, 1e-9, "thesis_sensor"),
+        ({"method": "thesis", "prior": {"bulk_modulus": "3 %"}}, 0.0, "thesis_prior"),
+        ({"method": "thesis", "response": ("u", Averaging())}, 0.0, "thesis_response"),
+        ({"cutoff": 9.0, "response": ("u", Averaging())}, 0.0, "response_low_pass"),
+        ({"cutoff": 9.0}, 0.0, None),
+        ({"channels": ("press.speeed",)}, 0.0, "no_quantity"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(given, std, key):
+    search = [Coordinate("bulk_modulus", True, 1.0, 1e9, 1e8, 1e10)]
+    terms: Any = [Stub(std=std)]
+    log = ("log", log_of(v=np.zeros(3)).record)
+    work = lambda: hydraulics._refuse_options(  # noqa: E731
+        [log], hydraulics.FitOptions(**given), search, terms, WHERE
+    )
+    if key is None:
+        return work()
+    with refused(f"identification.{key}", InputError):
+        work()
+
+
+@pytest.mark.parametrize(
+    ("word", "mapped", "key"),
+    [
+        ("flow_gain", False, None),
+        ("flow_gain", True, "edge_is_mapped"),
+        ("map_factor", True, None),
+        ("map_factor", False, "edge_is_unmapped"),
+        ("cracking_pressure", True, None),
+    ],
+)
+def test_an_edge_has_the_numbers_of_its_law_or_the_factor_of_its_map(word, mapped, key):
+    names = ["bulk_modulus", f"press.servo_supply_head.{word}"]
+    with answers(hydraulics, map_of=lambda *_: mapped or None):
+        work = lambda: hydraulics._refuse_inert(shipped("slide_servo"), names, None, WHERE)  # noqa: E731
+        if key is None:
+            return work()
+        with refused(f"identification.{key}", InputError) as said:
+            work()
+    right = said.value.message.fields["right"]  # pyright: ignore[reportAttributeAccessIssue]
+    assert right == ("map_factor" if mapped else "flow_gain")
+
+
+# --- windows of ringing
+
+
+def ringing_log(decay, steps=(300, 1100)) -> Log:
+    t = np.arange(2000) * TICK
+    y, u = np.zeros(2000), np.zeros(2000)
+    for k in steps:
+        u[k:] += 5.0
+        s = t[k:] - t[k]
+        y[k:] = np.exp(-decay * s) * np.cos(50.0 * s)
+    return log_of(v=y, p_head=1e5 * y, command=u)
+
+
+def test_ringing_is_looked_for_after_each_change_of_a_cylinders_own_command():
+    told = []
+    simulator: Any = Stub(rig=shipped("slide_servo"), logs=[ringing_log(2.0)])
+    first, second = matching.find_windows(simulator, lambda *given: told.append(given))
+    assert [one.span.start for one in (first, second)] == [300, 1100]
+    assert (first.log, first.cylinder, first.joint, first.columns) == (
+        0,
+        "press",
+        "carriage",
+        (0, 1),
+    )
+    assert second.recorded.natural_frequency == pytest.approx(math.hypot(50.0, 2.0), rel=1e-3)
+    simulator.logs = [ringing_log(30.0, range(300, 1900, 300))]
+    with refused("identification.no_ringing", InsufficientData) as said:
+        matching.find_windows(simulator, lambda *_: None)
+    assert said.value.hint is not None and said.value.hint.count("log at ") == 3
+    assert "log at 0.3 s" in said.value.hint
+    simulator.logs = [log_of(v=np.zeros(50), command=np.zeros(50))]
+    with refused("identification.no_ringing", InsufficientData) as said:
+        matching.find_windows(simulator, lambda *_: None)
+    assert said.value.hint is None
+
+
+@pytest.mark.parametrize("silent", [0, 1])
+def test_what_was_matched_is_told_with_its_scatter_and_what_is_silent(silent):
+    place = Coordinate("carriage.damping", True, 1.0, 2.0, 0.5, 8.0)
+    window = Stub(log=0, cylinder="press", columns=(0,), recorded=Stub(stop=0.5), span=slice(9, 20))
+    work = match_of([place, replace(place, name="bulk_modulus")], [window, window])
+    work.theta = np.array([math.log(4.0), 0.0])
+    work.simulator = Stub(logs=[log_of(v=np.zeros(30))])
+    rings = [Stub(ok=True), Stub(ok=not silent)]
+    stand: Any = Stub(at_bound=[0] if silent else [], rings=rings)
+    with answers(matching, finish=lambda _, built: built):
+        built = work._result(stand, {0: (0.1, 2.0, 5)}, not silent)
+    fitted, idle = built.fitted
+    assert (fitted.value, fitted.std, fitted.samples) == (pytest.approx(4.0), pytest.approx(0.4), 5)
+    assert fitted.interval == pytest.approx((4.0 * math.exp(-0.2), 4.0 * math.exp(0.2)))
+    assert (fitted.status, idle.status) == ("at_bound" if silent else "estimated", "not_excited")
+    keys = [text.key.partition(".")[2] for text in built.warnings]
+    assert keys == (["still_moving", "model_is_silent"] if silent else [])
+    assert not silent or built.warnings[1].fields["count"] == 1
+    assert built.matches[0].start == pytest.approx(0.009)
+    work.live = []
+    with refused("identification.no_ringing_tells", InsufficientData):
+        work._result(stand, {}, True)

@@ -14,7 +14,7 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import least_change
 from ehbench.validation import baseline, held_out, sweeps
 from ehbench.validation.residuals import Pair, compare_channel
-from ehbench.validation.results import ChannelResult, LogResult
+from ehbench.validation.results import BlackBox, ChannelResult, LogResult, Ring
 from ehbench.validation.transients import steps_only, transients_of, why_not_judged
 from ehbench.vocabulary.terms import Z95
 from tests.shared import shipped
@@ -88,6 +88,12 @@ def test_a_window_tells_of_a_model_where_more_than_noise_is_left(rng, left, cree
     assert window.recorded.cycles == 0.0 if creep else window.recorded.cycles > 5.0
 
 
+def test_a_ringing_is_clear_that_lasts_and_a_black_box_counts_where_it_is_told():
+    assert Ring(10.0, 0.1, 0.1, 0.01, 5.0).clear
+    assert not Ring(10.0, 0.1, 0.1, 0.01, 0.5).clear and not Ring().clear
+    assert not BlackBox().counts
+
+
 # --- sweeps
 
 
@@ -95,9 +101,15 @@ def test_a_window_tells_of_a_model_where_more_than_noise_is_left(rng, left, cree
 def test_a_sweep_that_begins_late_stands_no_longer_for_it(wait, sweeps_so):
     turns = np.repeat(np.arange(100) % 2, 10)
     u = 5.0 * np.concatenate([np.zeros(500), turns, np.zeros(wait), np.repeat([1.0, 0.0], 10)])
-    found = sweeps._sweeping(Record(np.arange(u.size) * TICK, {COMMAND: u}), MODEL, "press")
+    t = np.arange(u.size) * TICK
+    found = sweeps._sweeping(Record(t, {COMMAND: u}), MODEL, "press")
     assert (found is not None) == sweeps_so
     assert found is None or found == (COMMAND, slice(510, 500 + 1000 + wait + 11))
+    boom, names = Model.of(shipped("boom_four_valve")), ["boom.sh.command", "boom.rt.command"]
+    for sizes, most in (((0.5, 1.0), 1), ((1.0, 0.5), 0)):
+        log = Record(t, {name: size * u for name, size in zip(names, sizes, strict=True)})
+        both = sweeps._sweeping(log, boom, "boom")
+        assert (both and both[0]) == (names[most] if sweeps_so else None)
 
 
 def response_of(gain, delay, coherent, low=None) -> Response:
@@ -121,6 +133,8 @@ def test_a_sweep_is_off_by_what_its_errors_do_not_make():
     assert plain.delay == (pytest.approx(2e-3), None) and plain.simulated is None
     found = sweeps._sweep_of("u", "press.v", recorded, response_of(4.0, 5e-3, coherent))
     assert found.delay == pytest.approx((2e-3, 5e-3))
+    assert found.coherence == pytest.approx((0.95, 0.95))
+    assert found.simulated is not None and found.simulated.frequency[-1] == 40.0
     assert found.delay_error == pytest.approx(2e-3) and found.gain_ratio == 2.0
     chance = 0.01 + 1.645 * math.sqrt(2.0 * 2.0 * 32 * 1e-4) / 32.0
     assert found.gain_error == pytest.approx(math.sqrt(1.0 - chance), rel=1e-6)
