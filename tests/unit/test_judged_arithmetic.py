@@ -240,8 +240,8 @@ def test_a_stretch_has_at_most_one_sample_missing(gap, runs):
     rows: Any = Stub(log="a", t=np.arange(60) * TICK)
     found = held_out._runs(np.arange(60) * TICK, same, rows)
     assert len(found) == runs and sum(item.samples for item in found) == 60 - gap
-    assert (found[0].start, found[-1].stop) == (0.0, 0.059)
-    assert runs == 1 or (found[0].stop, found[1].start) == (0.029, 0.032)
+    assert (found[0].start, found[-1].stop) == pytest.approx((0.0, 0.059))
+    assert runs == 1 or (found[0].stop, found[1].start) == pytest.approx((0.029, 0.032))
 
 
 @pytest.mark.parametrize(("quiet", "runs"), [(2, 1), (5, 2)])
