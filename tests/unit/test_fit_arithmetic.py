@@ -37,6 +37,7 @@ from ehbench.identification.problem import (
     towards,
     weighed,
 )
+from ehbench.identification.results import Lean, Moved
 from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
 from ehbench.identification.simulator import Effort, Log
@@ -936,3 +937,61 @@ def test_what_was_matched_is_told_with_its_scatter_and_what_is_silent(silent):
     work.live = []
     with refused("identification.no_ringing_tells", InsufficientData):
         work._result(stand, {}, True)
+
+
+def test_doubts_are_of_the_gain_that_promises_most_and_of_what_fits_confirm():
+    """The least sure first, of these what explains most; what explains less than half of the best,
+    or moves no estimate beyond its interval, is none."""
+
+    def item(kind, name, certainty=0, explains=0.5, beyond=2.0):
+        row: Any = Row(
+            kind=kind, parameters=(name,), certainty=certainty, remedy=lambda *_: "free it"
+        )
+        return Stub(row=row, explains=explains, beyond=beyond, delta=-0.5)
+
+    every = [item("gain", "first", beyond=0.0), item("gain", "second", beyond=0.0)]
+    every += [item("mass", "sure", 2), item("mass", "some", 0, 0.3), item("mass", "most", 0, 0.4)]
+    every += [item("mass", "little", 0, 0.2), item("mass", "within", 0, 0.5, 0.9)]
+    fit: Any = Stub(simulator=Stub(effort=Stub(evaluations=1000), rig=None))
+    counts = []
+
+    def confirmed(_, __, asked, effort):
+        moved = (Moved("m", 1.0, 2.0, asked.beyond), Moved("n", 1.0, 2.0, 0.1))
+        name = asked.row.parameters[0]
+        return asked.row, Lean(name, 1.0, 2.0, 0.1, asked.explains, moved, "")
+
+    with answers(sensitivity, _only_noise=False, _promising=lambda *_: every,
+                 _screened=lambda *given: counts.append(given[3]) or ([], ("unasked",)),
+                 _release=Stub(std=0.1), _confirmed=confirmed, _sentence="told"):  # fmt: skip
+        found = sensitivity.doubts_of(fit, Stub(), Stub())  # pyright: ignore[reportArgumentType]
+    assert counts == [120] and found.unasked == ("unasked",)
+    (gain,) = found.warnings
+    fields: Any = gain.fields  # pyright: ignore[reportAttributeAccessIssue]
+    assert (fields["name"], fields["move"], fields["share"]) == ("first", -50.0, 0.5)
+    assert fields["half"] == pytest.approx(19.6, rel=1e-4)
+    assert [lean.name for lean in found.leans] == ["most", "some", "sure"]
+    assert {lean.sentence for lean in found.leans} == {"told"}
+
+
+def test_rows_are_asked_of_the_log_that_is_followed_worst_of_those_that_show_them():
+    """What needs no simulation of all logs; what changes nothing is dropped, the surest unasked."""
+    zeros, ones = [np.zeros((2, 1))] * 2, [np.ones((2, 1))] * 2
+    rows: Any = [Row(name=name, certainty=k) for k, name in enumerate(
+        ("either", "second", "none", "late", "read", "dull"))]  # fmt: skip
+    shows = {"either": [0, 1], "second": [1], "none": [], "late": [0]}
+    read = {"read": ones, "dull": zeros}
+    asked = []
+
+    def columns(_, __, given, effort):
+        asked.append({row.name: list(which) for row, which in given.items()})
+        return {row: zeros if row.name == "none" else ones for row in given}
+
+    fit: Any = Stub(logs=[Stub(), Stub()])
+    with answers(sensitivity, _fixed_rows=lambda *_: rows[::-1], _columns=columns,
+                 scaled=lambda *_: [np.array([[-3.0]]), np.array([[2.0, 2.0]])],
+                 _read_off=lambda _, __, row: read.get(row.name),
+                 _logs_of=lambda _, row: shows[row.name]):  # fmt: skip
+        found, unasked = sensitivity._screened(fit, Stub(), Stub(), 3)  # pyright: ignore[reportArgumentType]
+    assert asked == [{"either": [0], "second": [1], "none": [0]}] and unasked == ("late",)
+    logs = {item.row.name: item.logs for item in found}
+    assert logs == {"read": (0, 1), "either": (0,), "second": (0, 1)}
