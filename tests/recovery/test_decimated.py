@@ -11,7 +11,6 @@ import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.record import BlockAverages, Record
-from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.identification.means import SETTINGS, fastest
@@ -248,16 +247,9 @@ def test_a_mean_counts_where_all_its_samples_do():
     assert log.counts[~some, i].all()
 
 
-def test_what_needs_every_sample_keeps_it():
-    """Openings and flows, ringing and frequency responses."""
+def test_means_of_an_opening_are_of_every_sample():
     record = clean()
     (log,) = prepared([("log", record)], channels=("v", "press.servo.opening")).logs
-    fit = identify(logs(7), method="thesis")
-    assert fit.compared == () and fit.logs[0].mean_of == 1
-    (band,) = prepared(
-        [("log", noisy(record, 8))], response=("press.servo.command", Averaging(0.25))
-    ).logs
-    assert band.means is None
     model = Model.of(rig())
     whole = model.replay(log.record, AUTO, start=model.rest_start(log.record))
     assert np.array_equal(

@@ -29,6 +29,7 @@ from ehbench.identification.problem import (
     Problem,
     State,
     at_values,
+    cost,
     effects,
     evaluate,
     initial,
@@ -282,9 +283,9 @@ def test_a_step_gains_what_it_should_of_a_quadratic_and_ends_at_its_least(rng):
      (0.0, -1.1, 1.0, False), (0.0, 0.0, 100.0, False)],
 )  # fmt: skip
 def test_steps_serve_a_point_that_is_near(theta, shift, slack, serves):
-    mesh = Mesh(np.zeros(2), [np.zeros(1), np.zeros(2)], [], 1.0)
+    mesh = Mesh(np.array([0.0, 5.0]), [np.zeros(1), np.zeros(2)], [], 1.0)
     moved = [np.zeros(1), np.array([0.0, shift])]
-    assert mesh.serves(np.array([0.0, theta]), moved, slack) == serves
+    assert mesh.serves(np.array([0.0, 5.0 + theta]), moved, slack) == serves
 
 
 # --- options
@@ -482,9 +483,27 @@ def test_a_number_has_the_room_that_another_leaves_it():
     assert asked.room(theta, [1])[0, 1] <= 2.0
     assert asked.limit_at(np.array([1.5 - 5e-6, 1.5]), 0) == "too much"
     assert asked.limit_at(np.array([1.5 - 5e-5, 1.5]), 0) == ""
+    below = plain_problem(lambda values: "too little" if sum(values) < 6.0 else "")
+    assert below.limit_at(np.array([1.5 + 5e-6, 1.5]), 0) == "too little"
+    assert below.limit_at(np.array([1.5 + 5e-5, 1.5]), 0) == ""
+    assert below.room(np.array([2.0, 1.5]), [0])[0] == pytest.approx([1.5, 10.0], abs=1e-5)
     state = State(theta, [], {}, np.ones((2, 0)), (0, 1))
     assert towards(asked, state, 0, 1.2).theta.tolist() == [1.2, 1.5]
     assert towards(asked, state, 0, 9.0).theta == pytest.approx([1.5, 1.5], abs=1e-5)
+
+
+def test_what_is_minimised_counts_priors_by_their_weight():
+    """Of residuals in units of their scales; a search begins coarse, with a prior for a sample."""
+    asked = analytic_fit.problem(more=(analytic_fit.TWIN, 1.0, 0.05, 20.0, 0.5, 2.0))
+    state = initial(asked)
+    assert (state.prior_weight, state.coarse, state.slack) == (1.0, True, 100.0)
+    assert replace(state, coarse=False).slack == 1.0
+    shifts = [np.array([3.0]), np.array([-0.5])]
+    state = replace(evaluate(asked, state, shifts=shifts), prior_weight=0.7)
+    sizes = np.array([state.scales[c] for c in ("press.x", "press.v")])
+    left = sum(float(np.sum((part / sizes) ** 2)) for part in state.here.residuals)
+    known = 9.0 + 0.25 + ((state.theta[3] - math.log(2.0)) * 2.0 / 0.5) ** 2
+    assert cost(asked, state) == pytest.approx(left + 0.7 * known, rel=1e-12)
 
 
 def test_a_residual_is_cut_and_that_of_a_failure_is_ten_spreads():
@@ -492,6 +511,8 @@ def test_a_residual_is_cut_and_that_of_a_failure_is_ten_spreads():
     asked = plain_problem(spread={"press.v": 2.0, "press.p_head": 3.0})
     failed = asked.residual(log, None)
     assert failed.tolist() == [[0.0, 30.0]] + [[20.0, 30.0]] * 3
+    near = asked.residual(log, log.recorded + 0.5)
+    assert near.tolist() == [[0.0, 0.5]] + [[0.5, 0.5]] * 3
     far = asked.residual(log, np.array([[9e9, -9e9]] * 4))
     assert far.tolist() == [[0.0, -3e6]] + [[2e6, -3e6]] * 3
 
@@ -904,6 +925,9 @@ def test_ringing_is_looked_for_after_each_change_of_a_cylinders_own_command():
         (0, 1),
     )
     assert second.recorded.natural_frequency == pytest.approx(math.hypot(50.0, 2.0), rel=1e-3)
+    simulator.logs = [ringing_log(2.0, (1,))]  # from the first sample
+    (only,) = matching.find_windows(simulator, lambda *_: None)
+    assert only.span.start == 1
     simulator.logs = [ringing_log(30.0, range(300, 1900, 300))]
     with refused("identification.no_ringing", InsufficientData) as said:
         matching.find_windows(simulator, lambda *_: None)
@@ -995,3 +1019,55 @@ def test_rows_are_asked_of_the_log_that_is_followed_worst_of_those_that_show_the
     assert asked == [{"either": [0], "second": [1], "none": [0]}] and unasked == ("late",)
     logs = {item.row.name: item.logs for item in found}
     assert logs == {"read": (0, 1), "either": (0,), "second": (0, 1)}
+
+
+def closed_match(oil=(-3.0, 3.0), damping=(-3.0, 3.0), std=1e-3):
+    """ω = 20 e^(a/2 + b/10) and ζ = 0.1 e^b in three windows, whose medians lie at 20 e^0.2 and at
+    0.1 e^0.3: b = 0.3, a = 0.34."""
+    ends = (("frequency", "", oil), ("decay", "a", damping))
+    search: Any = [Stub(row=Stub(mode_role=role), owner=owner, log=True, bounds=bounds,
+                        begin=min(0.0, bounds[1]) if bounds[0] < 0.0 else bounds[0] + 0.1,
+                        start=-0.5, of=float) for role, owner, bounds in ends]  # fmt: skip
+    seen = Stub(natural_frequency=20.0, natural_frequency_std=0.02, damping_ratio_std=std)
+    work = match_of(search, [Stub(joint="a", recorded=seen)] * 3, (0, 1))
+    work._rings = lambda theta, _: (
+        [ring(20.0 * math.exp(0.5 * theta[0] + 0.1 * theta[1]), 0.1 * math.exp(theta[1]))] * 3
+    )
+    work.aim = [
+        math.log(20.0) + np.array([0.2, 0.3, 0.17]),
+        0.1 * math.exp(0.3) + np.array([-0.01, 0.0, 0.03]),
+    ]
+    work.maximum = 60
+    return work
+
+
+@pytest.mark.parametrize(
+    ("bounds", "theta", "at_bound"),
+    [
+        ({}, (0.34, 0.3), []),
+        ({"oil": (-3.0, 0.2)}, (0.2, 0.3), [0]),
+        ({"damping": (0.5, 3.0)}, (0.3, 0.5), [1]),
+        ({"damping": (-3.0, 0.1)}, (0.38, 0.1), [1]),
+    ],
+)
+def test_a_matching_stands_where_the_medians_of_its_windows_are_met(bounds, theta, at_bound):
+    work = closed_match(**bounds)
+    stand = work._stand(None)
+    assert stand.converged and stand.at_bound == at_bound
+    assert work.theta == pytest.approx(theta, abs=2e-3)
+    slope = [[0.5, 0.1], [0.0, 0.1 * math.exp(theta[1])]]
+    assert stand.slope == pytest.approx(np.array(slope), rel=0.05, abs=1e-9)
+
+
+@pytest.mark.parametrize(("std", "live"), [(1e-3, [0, 1]), (0.5, [0])])
+def test_what_no_window_tells_is_left_out_and_the_rest_matched_again(std, live):
+    work = closed_match(std=std)
+    work._result = lambda *given: given
+    stand, results, converged = work.fit()
+    assert converged and work.live == live and results.keys() == {*live}
+    spread = math.sqrt(math.pi / 2.0) * np.std([0.2, 0.3, 0.17], ddof=1) / math.sqrt(3.0)
+    assert results[0][0] == pytest.approx(spread / 0.5, rel=0.01) and results[0][2] == 3
+    assert work.theta[1] == pytest.approx(0.3 if 1 in live else -0.5, abs=2e-3)
+    assert work.theta[0] == pytest.approx(0.34 if 1 in live else 0.5, abs=2e-3)
+    work.maximum = 0
+    assert work.fit() == (None, {}, False)

@@ -269,11 +269,6 @@ def test_a_bound_is_told_with_its_side(name, value, key, side):
     assert getattr(note, "fields", {})["side"] == side
 
 
-def replace_of(item: Stub, **changes) -> Stub:
-    """A stub with other parts."""
-    return Stub(**vars(item) | changes)
-
-
 def variant(error: np.ndarray, name: str = "press.v") -> Any:
     """A fit of one log with these errors of a channel."""
     rows = {name: np.zeros(error.size), f"simulated.{name}": error, "t": np.arange(error.size)}
@@ -308,17 +303,6 @@ def test_channels_that_are_followed_worse_than_by_their_mean_are_named_the_worst
     log.fit_percent = {"a": -0.1}
     with refused("identification.follows_nothing", InsufficientData):
         results._poor([log])
-
-
-def test_samples_that_do_not_count_leave_nothing():
-    asked = problem()
-    log: Any = replace_of(asked.logs[0], counts=np.arange(1200).reshape(600, 2) % 3 > 0)
-    simulated = log.recorded + 2e-3
-    left = asked.residual(log, simulated)
-    np.testing.assert_allclose(left[log.counts], 2e-3, rtol=1e-9)
-    assert not left[~log.counts].any()
-    assert not asked.residual(log, None)[~log.counts].any()
-    assert asked.residual(log, None)[log.counts].min() > 0.0
 
 
 def test_a_row_that_moves_no_estimate_is_beyond_no_interval():
