@@ -254,7 +254,7 @@ def _interval_ends(
                 break
             inner = float(points[k])
         if outer is None:
-            ends.append(float(points[-1 if side > 0 else 0]))
+            ends.append(float(points[::side][-1]))
             continue
         for _ in range(SETTINGS.halvings):
             middle = 0.5 * (inner + outer)

@@ -1071,3 +1071,47 @@ def test_what_no_window_tells_is_left_out_and_the_rest_matched_again(std, live):
     assert work.theta[0] == pytest.approx(0.34 if 1 in live else 0.5, abs=2e-3)
     work.maximum = 0
     assert work.fit() == (None, {}, False)
+
+
+@pytest.mark.parametrize(
+    ("rise", "after", "better"), [(-65.0, 9.0, True), (-65.0, 11.0, False), (-63.0, 9.0, False)]
+)
+def test_a_solution_elsewhere_is_better_that_surely_falls_and_ends_lower(rise, after, better):
+    """16 in units of a prior's weight; there the parameter may move every log."""
+    state = State(np.zeros(2), [], {}, np.zeros((2, 3), bool), (0, 1), prior_weight=4.0)
+    with answers(estimate, solve=lambda _, item, __: (item, True),
+                 cost=lambda _, item: 10.0 if item is state else after):  # fmt: skip
+        found = estimate._better(Stub(), state, 1, rise, 0.5)  # pyright: ignore[reportArgumentType]
+    assert (found is not None) == better
+    assert found is None or found.theta.tolist() == [0.0, 0.5]
+    assert found is None or found.influence.tolist() == [[False] * 3, [True] * 3]
+
+
+def test_of_faint_parameters_those_that_nothing_denies_are_dropped():
+    """One of no effect, one that rises by less than is denied; one is known by its range, and one
+    that cannot be everywhere is asked though its effect is faint."""
+    faint = estimate.PROBLEM.faint
+    rises = {
+        0: (np.full(14, 99.0), 0.5 * faint),
+        1: (np.full(14, 7.0), 2.0 * faint),
+        2: (np.full(14, 8.0), 2.0 * faint),
+        3: (np.append(np.full(13, 8.0), math.inf), 0.5 * faint),
+    }
+    search = tuple(Coordinate(n, False, 1.0, 0.25, -1.0, 1.0) for n in "abcd")
+    asked = replace(plain_problem(), search=search, requested=4, fitted=4)
+    state = State(np.zeros(4), [], {}, np.zeros((4, 0)), (1, 2), (0, 3), {1: (0.0, 1.0)}, 2.0)
+    seen = []
+
+    def rising(_, __, i, points):
+        seen.append(points)
+        return rises[i]
+
+    with answers(estimate, evaluate=lambda _, item: item, _rises=rising, _better=lambda *_: None,
+                 _interval_ends=((-0.5, 0.5), 0.0, 0.0)):  # fmt: skip
+        found = estimate._over_ranges(asked, state, [0, 1, 2, 3])
+        with refused("identification.nothing_told", InsufficientData):
+            estimate._over_ranges(asked, replace(state, free=(1,), at_bound=()), [1])
+    assert (found.free, found.at_bound) == ((), ())
+    assert found.ranges == {2: (-0.5, 0.5), 3: (-0.5, 0.5)}
+    assert found.theta.tolist() == [0.25, 0.25, 0.0, 0.0]
+    assert seen[0] == pytest.approx(np.unique([*np.linspace(-1.0, 1.0, 13), 0.25]))
