@@ -158,7 +158,7 @@ def _look(problem: Problem, state: State) -> tuple[list[np.ndarray], list[tuple[
         costs = _costs(problem, state, vectors, chosen)
         lowest = int(np.argmin(costs))
         state, best = replace(state, theta=vectors[lowest]), float(costs[lowest])
-        looks.append((max(group, default=0), state.theta))
+        looks.append((max(group), state.theta))
         valley = np.min(costs[each:].reshape(-1, each), axis=1)
         bottoms = np.flatnonzero((valley[1:-1] < valley[:-2]) & (valley[1:-1] < valley[2:]))
         for k in each + each * (bottoms + 1):

@@ -22,16 +22,16 @@ class Block:
     """What one log says of its ``channels``: sensitivities of its scaled residuals to the
     parameters (samples, channels, parameters) and to its start's nuisances (samples, channels,
     nuisances), the residuals (samples, channels), where the nuisances stand [prior standard
-    deviations]; where channels read in counts, their ``readings`` (samples, channels) and the
-    standard error of a resting one (channels,), in units of the residuals' scales."""
+    deviations], the ``readings`` (samples, channels) and the standard error of a resting one
+    (channels,), zero where they are no counts, in units of the residuals' scales."""
 
     channels: tuple[str, ...]
     jacobian: np.ndarray
     start_jacobian: np.ndarray
     residuals: np.ndarray
     shifts: np.ndarray
-    readings: np.ndarray | None = None
-    coarse: np.ndarray | None = None
+    readings: np.ndarray
+    coarse: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,11 +297,11 @@ def _by_counts(free: Sequence[np.ndarray], blocks: Sequence[Block]) -> np.ndarra
     for channel in sorted({channel for block in blocks for channel in block.channels}):
         values, columns, error = [], [], 0.0
         for part, block in zip(free, blocks, strict=True):
-            if channel in block.channels and block.readings is not None:
+            if channel in block.channels:
                 i = block.channels.index(channel)
                 values.append(block.readings[:, i])
                 columns.append(part[:, i])
-                error = max(error, 0.0 if block.coarse is None else float(block.coarse[i]))
+                error = max(error, float(block.coarse[i]))
         if error > 0.0 and p:
             which = np.unique(np.concatenate(values), return_inverse=True)[1]
             whole = np.concatenate(columns)
@@ -347,7 +347,7 @@ def _jackknife(
     total, freedom = 0.0, -len(size)
     for item, meat in zip(solved, meats, strict=True):
         values, vectors = np.linalg.eigh(meat / np.outer(size, size))
-        some = values > 1e-6 * max(values[-1], 1e-300)
+        some = values > 1e-6 * values[-1]
         along = vectors[:, some].T @ (item.gradient / size)
         total += float(np.sum(along**2 / values[some]))
         freedom += int(np.count_nonzero(some))

@@ -105,7 +105,7 @@ def _stepped(
 ) -> _Descent | None:
     """A descent after one more step; None where no step would gain more than the tolerance."""
     state, damping = descent.state, descent.damping
-    problem.report("output error: fitting", _share(problem))
+    _report(problem)
     linear = linearised(problem, state, state.free, start_jacobian(problem, descent.origin))
     before = cost(problem, state)
     while damping <= SETTINGS.damping_max:
@@ -113,7 +113,7 @@ def _stepped(
         if gain <= tolerance * before:
             return None
         there = evaluate(problem, state, theta, shifts)
-        problem.report("output error: fitting", _share(problem))
+        _report(problem)
         gained = before - cost(problem, there)
         if gained > 0.0:
             there = carried(there, state) if secant else there
@@ -223,8 +223,9 @@ def constrained(problem: Problem, state: State, i: int, theta: float) -> tuple[S
     return replace(fixed, free=state.free), cost(problem, fixed)
 
 
-def _share(problem: Problem) -> float:
-    return problem.simulator.effort.iterations / (problem.simulator.effort.iterations + 6.0)
+def _report(problem: Problem) -> None:
+    count = problem.simulator.effort.iterations
+    problem.report("output error: fitting", count / (count + 6.0))
 
 
 def start_of(problem: Problem, state: State) -> tuple[object, ...]:

@@ -253,10 +253,13 @@ def _interval_ends(
                 outer = float(points[k])
                 break
             inner = float(points[k])
-        for _ in range(SETTINGS.halvings if outer is not None else 0):
-            middle = 0.5 * (inner + float(outer or 0.0))
+        if outer is None:
+            ends.append(float(points[::side][-1]))
+            continue
+        for _ in range(SETTINGS.halvings):
+            middle = 0.5 * (inner + outer)
             (rise,), _ = _rises(problem, state, i, np.array([middle]))
             lowest = min(lowest, (float(rise), middle))
             inner, outer = (inner, middle) if rise > limit else (middle, outer)
-        ends.append(float(points[-1 if side > 0 else 0]) if outer is None else outer)
+        ends.append(outer)
     return (ends[0], ends[1]), *lowest

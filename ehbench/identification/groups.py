@@ -60,8 +60,6 @@ def groups_of(
         widening: of standard errors because residuals are coloured.
     """
     count = len(names)
-    if count < 2:
-        return ()
     sizes, vectors = np.linalg.eigh(0.5 * (normal + normal.T))
     sizes = np.maximum(sizes, 1e-13 * sizes[-1])
     covariance = (vectors / sizes) @ vectors.T * widening**2
@@ -106,7 +104,7 @@ def _leaders(covariance: np.ndarray) -> list[int]:
         rest = [
             i for i in range(len(variances)) if i not in result and left[i, i] > 1e-9 * variances[i]
         ]
-        best, gain = -1, 1.0 / SETTINGS.better**2
+        best, gain = None, 1.0 / SETTINGS.better**2
         for i in rest:
             after = np.diag(left) - left[:, i] ** 2 / left[i, i]
             others = [k for k in rest if k != i]
@@ -115,7 +113,7 @@ def _leaders(covariance: np.ndarray) -> list[int]:
             more = max(left[k, k] / max(after[k], 1e-12 * variances[k]) for k in others)
             if more > gain:
                 best, gain = i, more
-        if best < 0:
+        if best is None:
             break
         left = left - np.outer(left[:, best], left[best]) / left[best, best]
         result.append(best)

@@ -386,4 +386,4 @@ def _doubt(item: HydraulicsFit, other: HydraulicsFit) -> float:
                 moves += sign * square / max(float(square.mean()), 1e-300)
         count += len(log.residual_rms)
         variance += float(moves.var()) * correlation_time(moves) / moves.size
-    return math.sqrt(variance) / max(count, 1)
+    return math.sqrt(variance) / count

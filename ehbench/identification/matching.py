@@ -104,7 +104,7 @@ def _ringing_of(log: Log, span: slice, cylinder: str) -> tuple[slice, tuple[int,
     """
     columns = tuple(i for i, name in enumerate(log.channels) if name.startswith(cylinder + "."))
     counts = np.all(log.counts[span][:, columns], axis=1)
-    first = int(np.argmax(counts)) if counts.any() else 0
+    first = int(np.argmax(counts))
     length = int(np.argmin(counts[first:])) if not counts[first:].all() else counts.size - first
     part = slice(span.start + first, span.start + first + length)
     if not columns:
@@ -209,8 +209,8 @@ class Matching:
         slope = result.slope
         for fresh in range(1, SETTINGS.rounds + 1):
             self.rounds += 1
-            known = self.rounds / (self.rounds + 4.0)
-            self.progress("thesis: matching frequency and decay", 0.2 + 0.8 * known)
+            left = self.rounds + 4.0
+            self.progress("thesis: matching frequency and decay", 1.0 - 3.2 / left)
             rings = self._rings(self.theta, rings)
             error = {i: self.aim[i] - self._measure(i, rings) for i in self.live}
             silent = [i for i in self.live if not np.isfinite(error[i]).any()]
@@ -306,5 +306,5 @@ class Matching:
         # a median's standard error over a mean's
         median = math.sqrt(math.pi / 2.0) if count > 2 else 1.0
         std = median * max(scatter, rms(np.array(errors))) / math.sqrt(count)
-        quantile = float(stdtrit(max(1, count - 1), 0.5 + 0.5 * LEVEL)) if count > 1 else 1.96
+        quantile = float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL)) if count > 1 else 1.96
         return std / max(abs(slope), 1e-12), quantile, count

@@ -81,12 +81,10 @@ class Mesh:
 
     def serves(self, theta: np.ndarray, shifts: Shifts, slack: float) -> bool:
         """Whether a point is so near that its simulations may take the same steps."""
+        if slack != self.slack or np.any(np.abs(theta - self.theta) > SETTINGS.near_theta):
+            return False
         moves = [np.abs(a - b) for a, b in zip(shifts, self.shifts, strict=True)]
-        return (
-            slack == self.slack
-            and float(np.max(np.abs(theta - self.theta), initial=0.0)) <= SETTINGS.near_theta
-            and float(np.max(np.concatenate(moves), initial=0.0)) <= SETTINGS.near_shift
-        )
+        return all(np.all(move <= SETTINGS.near_shift) for move in moves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +194,8 @@ class Problem:
 def problem_of(
     simulator: Simulator,
     search: Sequence[Coordinate],
-    report: Progress | None = None,
-    max_iterations: int = 100,
+    report: Progress | None,
+    max_iterations: int,
     cutoff: float | None = None,
     journal: Journal | None = None,
 ) -> Problem:
@@ -293,10 +291,7 @@ def at_values(problem: Problem, values: Mapping[str, float]) -> State:
     state = initial(problem)
     for i, c in enumerate(problem.search):
         if c.name in values:
-            low, high = c.bounds
-            margin = 1e-3 * c.reach
-            theta = c.of(max(values[c.name], c.lower))
-            state = state.moved(i, min(max(theta, low + margin), high - margin))
+            state = state.moved(i, c.inside(max(values[c.name], c.lower)))
     return state
 
 
@@ -399,7 +394,7 @@ def prior_of(problem: Problem, state: State, which: Sequence[int]) -> Prior:
     """What is known of some parameters besides the logs, and how far they are off it."""
     search = [problem.search[i] for i in which]
     sharpness = np.array([c.sharpness if c.known else 0.0 for c in search])
-    centre = np.array([c.of(c.centre) if c.known else 0.0 for c in search])
+    centre = np.array([c.of(c.centre if c.known else c.start) for c in search])
     return Prior(sharpness, state.theta[list(which)] - centre, state.prior_weight)
 
 

@@ -117,7 +117,7 @@ class LogFit:
     start: dict[str, float] = field(default_factory=dict)
     start_shift: dict[str, float] = field(default_factory=dict)
     responses: tuple[ResponseFit, ...] = ()
-    mean_of: int = 1
+    mean_of: int = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -391,7 +391,8 @@ def _statuses(
 def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
     left = simulated - log.recorded
     left = lowpass(left, log.sample_time, cutoff) if cutoff else left
-    fit = LogFit(log.name, log.payload or "none", log.each * len(left), {}, {}, {}, {})
+    samples, each = log.each * len(left), log.each
+    fit = LogFit(log.name, log.payload or "none", samples, {}, {}, {}, {}, mean_of=each)
     for channel, y, model, rest, counts in zip(
         log.channels, log.recorded.T, simulated.T, left.T, log.counts.T, strict=True
     ):
@@ -400,7 +401,7 @@ def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
         fit.residual_rms[channel] = rms(rest[some])
         fit.correlation_time[channel] = correlation_time(rest[some])
         fit.counted[channel] = 100.0 * float(np.mean(counts))
-    return replace(fit, mean_of=log.each)
+    return fit
 
 
 def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
@@ -422,11 +423,12 @@ def _turned(log: Log, simulated: np.ndarray) -> list[str]:
     for channel, y, model, counts in zip(
         log.channels, log.recorded.T, simulated.T, log.counts.T, strict=True
     ):
+        if not counts.any():
+            continue
         seen, built = (item[counts] - np.mean(item[counts]) for item in (y, model))
-        size = rms(seen) * rms(built) if counts.any() else 0.0
-        likeness = float(np.mean(seen * built)) / size if size > 0.0 else 0.0
-        if likeness < SETTINGS.opposite:
-            fields = {"log": log.name, "channel": channel, "likeness": likeness}
+        size, alike = rms(seen) * rms(built), float(np.mean(seen * built))
+        if alike < SETTINGS.opposite * size:
+            fields = {"log": log.name, "channel": channel, "likeness": alike / size}
             results.append(message("identification.other_way", **fields))
     return results
 
@@ -462,8 +464,7 @@ def _left_over(logs: Sequence[Log], fits: Sequence[LogFit]) -> str:
             if log.band is not None or not counts.any():
                 continue
             share = 1.0 - 0.01 * fit.fit_percent[channel]
-            smallest = SETTINGS.fine * float(np.std(y))
-            noise = max(noise_of(log.seen, channel), smallest, 1e-300)
+            noise = max(noise_of(log.seen, channel), SETTINGS.fine * float(np.std(y)))
             times = fit.residual_rms[channel] / noise
             if share > worst[0] and times > SETTINGS.structure:
                 fields = {"channel": channel, "log": log.name, "share": 100.0 * share}
@@ -496,7 +497,9 @@ def _late(log: Log, simulated: np.ndarray) -> list[str]:
     size = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-300)
     left, slope = left / size, slope / size
     power = float(np.sum(slope**2))
-    delay = float(np.sum(slope * left)) / power if power > 0.0 else 0.0
+    if not power:
+        return []
+    delay = float(np.sum(slope * left)) / power
     is_delay = SETTINGS.late * tick <= abs(delay) <= SETTINGS.latest * tick
     if not is_delay or delay**2 * power < SETTINGS.explains * float(np.sum(left**2)):
         return []

@@ -97,10 +97,14 @@ class Coordinate:
 
     @property
     def begin(self) -> float:
-        """Where the search starts: inside the bounds, as the solver asks."""
+        """Where the search starts."""
+        return self.inside(self.start)
+
+    def inside(self, value: float) -> float:
+        """The search coordinate of a value, just inside the bounds, as the solver asks."""
         low, high = self.bounds
         margin = 1e-3 * self.reach
-        return min(max(self.of(self.start), low + margin), high - margin)
+        return min(max(self.of(value), low + margin), high - margin)
 
     def spread(
         self, theta: float, std: float, quantile: float

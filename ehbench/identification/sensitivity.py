@@ -95,9 +95,9 @@ class _Suspect:
     row: Hypothesis
     columns: list[np.ndarray]
     logs: tuple[int, ...]
-    explains: float = 0.0
-    delta: float = 0.0
-    follow: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    explains: float = math.nan
+    delta: float = math.nan
+    follow: np.ndarray = field(default_factory=lambda: np.array([]))
     moved: tuple[Moved, ...] = ()
 
     @property
@@ -134,11 +134,11 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
         if 2.0 * item.beyond > BEYOND and effort.evaluations < limit:
             pair = _confirmed(fit, result, item, effort)
             confirmed += [] if pair is None else [pair]
-    best = max((item.explains for item in (*suspects, *(i for _, i in confirmed))), default=0.0)
+    explained = [item.explains for item in (*suspects, *(i for _, i in confirmed))]
     likely = [
         (row, item)
         for row, item in confirmed
-        if item.explains >= SETTINGS.alike * best and item.beyond > BEYOND
+        if item.explains >= SETTINGS.alike * max(explained) and item.beyond > BEYOND
     ]
     likely.sort(key=lambda pair: (pair[0].certainty, -pair[1].explains))
     leans = tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
@@ -337,7 +337,7 @@ def _promising(
         known = {"explains": release.gain / total, "delta": delta, "follow": follow}
         moved = _moved(fit, result, state.theta[live] + follow)
         suspects.append(replace(item, moved=moved, **known))
-    likely = SETTINGS.alike * max((item.explains for item in suspects), default=0.0)
+    likely = SETTINGS.alike * max((item.explains for item in suspects), default=math.nan)
     return sorted(
         suspects,
         key=lambda s: (

@@ -162,9 +162,9 @@ def prepare(
     record: Record,
     name: str,
     required: Sequence[str],
-    terms: Sequence[Term] = (),
-    decimate: Decimate = 1,
-    cutoff: float | None = None,
+    terms: Sequence[Term],
+    decimate: Decimate,
+    cutoff: float | None,
 ) -> Log:
     """Take a log in (`preprocessing.preprocess`) for a model that carries its payload, and choose
     the channels: the wanted ones of every cylinder that is asked to move or moves; ``terms`` are
@@ -236,9 +236,11 @@ def _counts(
             continue
         void, lowest = np.zeros(record.t.size, dtype=bool), np.min(pressures, axis=0)
         commands = least_changes(cylinder, record)
-        table = np.column_stack([record[channel] for channel in commands] or [0.0 * record.t])
-        minimum = np.array(list(commands.values())) if commands else 0.0
-        starts = [window.start for window in transients(record.t, table, minimum=minimum)]
+        starts: list[int] = []
+        if commands:
+            table = np.column_stack([record[channel] for channel in commands])
+            minimum = np.array(list(commands.values()))
+            starts = [window.start for window in transients(record.t, table, minimum=minimum)]
         stops = np.array([*starts, record.t.size])
         for first in np.flatnonzero(lowest < limit):  # void until a command changes
             if not void[first]:

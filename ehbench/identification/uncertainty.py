@@ -68,12 +68,12 @@ def errors_of(problem: Problem, state: State) -> Errors:
     for k, i in enumerate(live):
         std, quantile, source = match.error(k)
         vague = VAGUE[problem.search[i].log]
-        others = np.abs(correlation[k, [j for j in inside if j != k]])
+        others = correlation[k, [j for j in inside if j != k]]
         if sizes[k] < PROBLEM.faint or match.alone[k] > vague:
             kind = "not_excited"
         elif k not in inside:
             kind = "at_bound"
-        elif std > vague or np.max(others, initial=0.0) > CORRELATED:
+        elif std > vague or np.any(np.abs(others) > CORRELATED):
             kind = "correlated"
         else:
             kind = "estimated"
@@ -220,7 +220,7 @@ def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[
 def _sensors(problem: Problem, errors: Errors) -> list[SensorFit]:
     """The estimates of the sensors: of all logs, then of each."""
     result, state = [], errors.state
-    terms = {term.name: term for term in problem.logs[0].start.terms}
+    terms = {term.name: term for log in problem.logs for term in log.start.terms}
     for i in range(problem.requested, problem.fitted):
         c, error, quantile = problem.search[i], errors.by_index.get(i), Z95
         std = terms[c.name].std
@@ -229,7 +229,6 @@ def _sensors(problem: Problem, errors: Errors) -> list[SensorFit]:
         result.append(SensorFit.of(terms[c.name], "", c.at(state.theta[i]), std, quantile))
     for log, shifts, block in zip(problem.logs, state.shifts, errors.blocks, strict=True):
         stds = eliminate(block, state.prior_weight).std(errors.covariance)
-        terms = {term.name: term for term in log.start.terms}
         for item, shift, std in zip(log.start.uncertain, shifts, stds, strict=True):
             if item.name in terms:
                 value = item.std * float(shift)

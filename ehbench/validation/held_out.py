@@ -123,10 +123,7 @@ def _same_noise(record: Record, rows: FittedSamples) -> list[Overlap]:
     at = np.flatnonzero(best)
     tick = max(float(np.median(np.diff(record.t))), float(np.median(np.diff(rows.t))))
     for first, last in zip(at[:-1], at[1:], strict=True):  # blocks between that were too quiet
-        if (
-            last - first > 1
-            and record.t[last] - record.t[first] < SETTINGS.quiet * SETTINGS.block * tick
-        ):
+        if record.t[last] - record.t[first] < SETTINGS.quiet * SETTINGS.block * tick:
             best[first:last] = True
     return _runs(record.t, best, rows)
 

@@ -84,7 +84,7 @@ def compare_channel(record: Record, model: Model, channel: str, pair: Pair) -> C
     )
     block = max(1, round(SETTINGS.lag_step / record.sample_time))
     residual = block_averages(error, block)
-    lags = min(max(1, round(SETTINGS.lag_span / (block * record.sample_time))), len(residual) // 4)
+    lags = min(round(SETTINGS.lag_span / (block * record.sample_time)), len(residual) // 4)
     if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
         return plain
     lag = block * record.sample_time * np.arange(lags + 1)

@@ -11,7 +11,6 @@ import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.record import BlockAverages, Record
-from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.identification.means import SETTINGS, fastest
@@ -174,13 +173,8 @@ def test_the_hydraulic_mode_counts_where_it_is_faster_than_valves():
     assert fastest(model, record) == pytest.approx(expected, rel=1e-3)
 
 
-def test_short_logs_and_what_is_left_over_at_the_end():
-    """200 means at least are left of a log; the first seconds of one are whole means."""
-    short = clean().at(slice(600, 600 + 4 * 200))
-    (log,) = prepared([("log", short)]).logs
-    assert (log.each, len(log.recorded)) == (4, 200)
-    (log,) = prepared([("log", short.at(slice(3 * 200 - 1)))]).logs
-    assert log.means is None
+def test_what_is_left_over_at_the_end_of_the_first_seconds():
+    """The first seconds of a log are whole means."""
     (log,) = prepared([("log", clean(None, 1.6003))]).logs
     head = log.head(0.2)
     assert head.record.t.size == 6 * len(head.recorded) == 6 * head.seen.t.size < 9000
@@ -217,6 +211,8 @@ def test_commands_within_dead_bands_name_the_edge_that_is_nearest_to_open():
     assert near.fields["maximum"] == 1.1 and near.fields["onset"] == pytest.approx(1.2, rel=1e-6)
     assert why(-0.1, 1.0).fields["edge"] in ("lift.spool_pa", "lift.spool_bt")
     assert why(0.0, 0.0).key == "identification.opens_nothing"
+    bare: Any = Stub(commanded=("lift",), record=Record(t, {}))
+    assert getattr(shut(model, bare), "key", "") == "identification.opens_nothing"
 
 
 def test_uneven_clocks_and_gaps():
@@ -251,16 +247,9 @@ def test_a_mean_counts_where_all_its_samples_do():
     assert log.counts[~some, i].all()
 
 
-def test_what_needs_every_sample_keeps_it():
-    """Openings and flows, ringing and frequency responses."""
+def test_means_of_an_opening_are_of_every_sample():
     record = clean()
     (log,) = prepared([("log", record)], channels=("v", "press.servo.opening")).logs
-    fit = identify(logs(7), method="thesis")
-    assert fit.compared == () and fit.logs[0].mean_of == 1
-    (band,) = prepared(
-        [("log", noisy(record, 8))], response=("press.servo.command", Averaging(0.25))
-    ).logs
-    assert band.means is None
     model = Model.of(rig())
     whole = model.replay(log.record, AUTO, start=model.rest_start(log.record))
     assert np.array_equal(
@@ -288,22 +277,3 @@ def test_a_recipe_with_no_such_number_of_samples(tmp_path, given):
     ) as told:
         load_recipe(path)
     assert told.value.line == 7
-
-
-@pytest.mark.parametrize(
-    ("options", "said", "hint"),
-    [
-        ({"decimate": 0}, "decimate = 0 is no number of samples", "auto"),
-        ({"decimate": 51}, "means of 51 of its 10004 samples are 196", "at most 50"),
-        ({"decimate": 2, "method": "thesis"}, "'thesis' looks for ringing in every", "leave"),
-        (
-            {"decimate": 2, "response": ("press.servo.command", Averaging())},
-            r"\[response\] looks at frequencies in every sample",
-            "leave",
-        ),
-    ],
-)
-def test_means_that_cannot_be(options, said, hint):
-    with pytest.raises(InputError, match=said) as told:
-        prepared([("log", clean())], **options)
-    assert hint in told.value.hint

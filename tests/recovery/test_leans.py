@@ -65,7 +65,7 @@ def test_what_others_do_when_a_number_is_freed_is_the_least_squares_of_all():
     truth = np.array([0.3, -0.2, 0.5])
     held = np.linalg.lstsq(slopes[:, 0, :2], slopes[:, 0] @ truth, rcond=None)[0]
     left = slopes[:, :, :2] @ held - slopes @ truth
-    block = Block(("a",), slopes, np.zeros((400, 1, 0)), left, np.zeros(0))
+    block = Block(("a",), slopes, np.zeros((400, 1, 0)), left, np.zeros(0), left, np.zeros(1))
     found = release_of([block], Prior(np.zeros(3), np.zeros(3), 1.0), np.inf)
     assert found.move == pytest.approx(0.5) and found.gain == pytest.approx(np.sum(left**2))
     assert found.follow == pytest.approx(truth[:2] - held)
@@ -163,19 +163,29 @@ def test_fixed_numbers_take_a_fifth_of_the_simulations_the_least_sure_first(monk
 
 
 def test_derivatives_that_are_carried_explain_the_last_step():
-    """Of a function that bends: along the step the secant is exact, across it nothing changes."""
+    """Of a function that bends: along the step the secant is exact, across it nothing changes; of
+    two shifts of the start the first does what is known of it, the other nothing. A second log is
+    moved by none."""
     mesh = Mesh(np.zeros(2), [np.zeros(0)], [np.zeros(1)], 1.0)
 
-    def at(x, columns=None):
-        value = np.array([[x[0] ** 2 + x[1]], [3.0 * x[1] + x[0]]])
-        point = Point(x, [np.zeros(0)], [value], mesh, columns or {})
-        return State(x, [np.zeros(0)], {}, np.ones((2, 1), bool), (0, 1), point=point)
+    def at(x, shift, columns=None):
+        value = np.array([[x[0] ** 2 + x[1]], [3.0 * x[1] + x[0]]]) + 0.5 * shift
+        shifts = [np.array([shift, 2.0 * shift]), np.zeros(0)]
+        starts = {(0, 0): np.full((2, 1), 0.5)} if columns else {}
+        point = Point(x, shifts, [value, value], mesh, columns or {}, starts)
+        return State(x, shifts, {}, np.ones((2, 2), bool), (0, 1), point=point)
 
     slopes = {(0, 0): np.array([[2.0], [1.0]]), (1, 0): np.array([[1.0], [3.0]])}
-    here, there = at(np.array([1.0, 0.0]), dict(slopes)), at(np.array([2.0, 0.0]))
-    after = carried(there, here).here.columns
-    assert after[0, 0] == pytest.approx(np.array([[3.0], [1.0]]))
-    assert after[1, 0] == pytest.approx(slopes[1, 0])
+    here, there = at(np.array([1.0, 0.0]), 1.0, dict(slopes)), at(np.array([2.0, 0.0]), 4.0)
+    after = carried(there, here).here
+    assert after.columns[0, 0] == pytest.approx(np.array([[3.0], [1.0]]))
+    assert after.columns[1, 0] == pytest.approx(slopes[1, 0])
+    assert after.columns.keys() == slopes.keys() and after.start_columns.keys() == {(0, 0)}
+    along = carried(at(np.array([1.5, 0.1]), 1.0), here).here.columns
+    # (1.5² + 0.1 − 1) − (2 · 0.5 + 0.1) = 0.25 shared by move · size
+    sizes = np.array([0.5 * 5.0, 0.1 * 10.0])
+    part = sizes / (sizes @ [0.5, 0.1])
+    assert [float(along[i, 0][0, 0]) for i in (0, 1)] == pytest.approx([2.0, 1.0] + 0.25 * part)
 
 
 def test_what_the_machine_lacks_is_tried_before_a_datasheet_is_doubted(slide_runs):

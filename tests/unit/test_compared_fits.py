@@ -17,8 +17,8 @@ def fit_of(rng, sizes, length, shared=None):
         columns = {"t": np.arange(length) * 1e-3}
         for channel, size in sizes.items():
             noise = rng.standard_normal(length) if shared is None else shared[log]
-            columns |= {channel: noise * size, f"simulated.{channel}": np.zeros(length)}
-        rms = {c: float(np.sqrt(np.mean(columns[c] ** 2))) for c in sizes}
+            columns |= {channel: noise * size + 9.0, f"simulated.{channel}": np.full(length, 9.0)}
+        rms = {c: float(np.sqrt(np.mean((columns[c] - 9.0) ** 2))) for c in sizes}
         recordings.append((str(log), columns))
         logs.append(Stub(residual_rms=rms))
     built: Any = Stub(recordings=recordings, logs=logs)

@@ -35,6 +35,9 @@ def test_a_number_that_may_be_zero_is_searched_in_parts_of_its_range():
     bounded = one(name, start={name: 50.0}, upper={name: 400.0})
     assert (bounded.log, bounded.unit, bounded.lower) == (False, 400.0, 0.0)
     assert not bounded.roams
+    name = "press.leakage_head"
+    open_ended = one(name, start={name: 1e-12}, lower={name: 0.0})
+    assert (open_ended.log, open_ended.unit, open_ended.roams) == (False, 1e-12, True)
 
 
 def test_a_positive_number_without_bounds_is_searched_as_a_factor():

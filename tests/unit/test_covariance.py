@@ -29,6 +29,11 @@ def regressors(count: int) -> np.ndarray:
     return np.column_stack([np.sin(6.0 * x), np.cos(11.0 * x) + 0.3])
 
 
+def block_of(columns, starts, left, shifts, channels=("a",)):
+    """What a log says that has no readings in counts."""
+    return Block(channels, columns, starts, left, shifts, left, np.zeros(1))
+
+
 def solved(columns, noise, nuisances=None, weight=1.0, channels=("a",)):
     """A block of one log at the minimum of its least squares (weight of the nuisances' priors)."""
     whole = columns if nuisances is None else np.column_stack([columns, nuisances])
@@ -37,7 +42,7 @@ def solved(columns, noise, nuisances=None, weight=1.0, channels=("a",)):
     best = np.linalg.solve(whole.T @ whole + penalty, whole.T @ noise)
     rest = (noise - whole @ best)[:, None]
     starts = np.zeros((len(noise), 1, 0)) if nuisances is None else nuisances[:, None, :]
-    return Block(channels, columns[:, None, :], starts, rest, -best[columns.shape[1] :])
+    return block_of(columns[:, None, :], starts, rest, -best[columns.shape[1] :], channels)
 
 
 def ar1(rng, count, pole):
@@ -106,7 +111,7 @@ def test_a_prior_adds_its_information():
     normal = columns.T @ columns + np.diag(sharpness**2)
     best = np.linalg.solve(normal, columns.T @ noise)
     left = (noise - columns @ best)[:, None]
-    block = Block(("a",), columns[:, None, :], np.zeros((2000, 1, 0)), left, np.zeros(0))
+    block = block_of(columns[:, None, :], np.zeros((2000, 1, 0)), left, np.zeros(0))
     result = covariance_of([block], Prior(sharpness, best, 1.0))
     expected = np.linalg.inv(normal)  # unit noise, unit weight
     assert np.sqrt(np.diag(result.acf)) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.06)
@@ -144,7 +149,7 @@ def test_logs_that_disagree_are_jackknifed():
     best = np.linalg.solve(normal, pull)
     empty = np.zeros((400, 1, 0))
     blocks = [
-        Block(("a",), part[:, None, :], empty, (y - part @ best)[:, None], np.zeros(0))
+        block_of(part[:, None, :], empty, (y - part @ best)[:, None], np.zeros(0))
         for part, y in zip(logs, noise, strict=True)
     ]
     alone = np.array(
@@ -229,7 +234,7 @@ def test_freeing_a_number_does_what_the_joint_least_squares_say():
 
     def blocks(which):
         return [
-            Block(("a",), part[:, None, which], part[:, None, 4:], y[:, None], np.array([shift]))
+            block_of(part[:, None, which], part[:, None, 4:], y[:, None], np.array([shift]))
             for part, y, shift in zip(logs, noise, shifts, strict=True)
         ]
 
@@ -273,7 +278,7 @@ def test_windows_give_the_error_of_their_median(errors, each, std, role):
 def test_a_prior_pulls_from_where_the_parameter_is_to_its_centre():
     """Its coordinate less that of the centre, sharpened; what nothing is known of is not pulled."""
     known = Stub(known=True, sharpness=4.0, centre=1e9, of=np.log10)
-    free = Stub(known=False, sharpness=9.0, centre=np.nan, of=np.log10)
+    free = Stub(known=False, sharpness=9.0, start=1e7, of=np.log10)
     state = Stub(theta=np.array([7.0, 8.5]), prior_weight=2.0)
     prior = prior_of(Stub(search=[free, known]), state, [1, 0])  # type: ignore[arg-type]
     assert prior.sharpness.tolist() == [4.0, 0.0] and prior.weight == 2.0

@@ -56,7 +56,7 @@ def test_a_fit_does_not_count_them_and_a_validation_ends_there_too():
     top = 0.8 * np.max(record["press.p_head"])
     cut = np.clip(record["press.p_head"], None, top)
     clipped = replace(record, channels=record.channels | {"press.p_head": cut})
-    log = prepare(Model.of(rig), clipped, "log", ("qd", "p_head", "p_rod"))
+    log = prepare(Model.of(rig), clipped, "log", ("qd", "p_head", "p_rod"), (), 1, None)
     at = log.channels.index("press.p_head")
     assert np.array_equal(log.counts[:, at], cut < top) and not log.counts[:, at].all()
     assert log.counts[:, [i for i in range(len(log.channels)) if i != at]].all()

@@ -256,21 +256,17 @@ def test_a_denied_number_is_told_with_its_interval():
     [
         ("bulk_modulus", 1e8, "at_bound", "lower"),
         ("bulk_modulus", 0.99e9, "at_bound", "upper"),
+        ("carriage.damping", 99.0, "at_bound", "lower"),
         ("press.servo_rod_tank.deadband", 0.0, "closed_deadband", "lower"),
         ("press.servo_rod_tank.deadband", 5.0, "at_bound", "upper"),
     ],
 )
 def test_a_bound_is_told_with_its_side(name, value, key, side):
-    ends = (1e8, 1e9) if name == "bulk_modulus" else (0.0, 5.0)
+    ends = {"bulk_modulus": (1e8, 1e9), "carriage.damping": (98.0, 101.0)}.get(name, (0.0, 5.0))
     item = FittedParameter(name, "", value, None, None, *ends, value, "at_bound", 9)
     (note,) = _statuses([item], Stub(rig=shipped("slide_servo"), logs=()))  # pyright: ignore[reportArgumentType]
     assert getattr(note, "key", "") == f"identification.{key}"
     assert getattr(note, "fields", {})["side"] == side
-
-
-def replace_of(item: Stub, **changes) -> Stub:
-    """A stub with other parts."""
-    return Stub(**vars(item) | changes)
 
 
 def variant(error: np.ndarray, name: str = "press.v") -> Any:
@@ -307,17 +303,6 @@ def test_channels_that_are_followed_worse_than_by_their_mean_are_named_the_worst
     log.fit_percent = {"a": -0.1}
     with refused("identification.follows_nothing", InsufficientData):
         results._poor([log])
-
-
-def test_samples_that_do_not_count_leave_nothing():
-    asked = problem()
-    log: Any = replace_of(asked.logs[0], counts=np.arange(1200).reshape(600, 2) % 3 > 0)
-    simulated = log.recorded + 2e-3
-    left = asked.residual(log, simulated)
-    np.testing.assert_allclose(left[log.counts], 2e-3, rtol=1e-9)
-    assert not left[~log.counts].any()
-    assert not asked.residual(log, None)[~log.counts].any()
-    assert asked.residual(log, None)[log.counts].min() > 0.0
 
 
 def test_a_row_that_moves_no_estimate_is_beyond_no_interval():

@@ -192,8 +192,9 @@ class _Rows:
             return Scales(self.rig, owner, valve, self.records, part=part) if shown else None
         if isinstance(part, LinkLoad):
             carried = any(payload_of(log) == place[1] for log in self.records)
-            owner = self.cylinders[0] if carried and self.cylinders else None
-            return owner and Scales(self.rig, owner, None, self.records, part=part)
+            if not carried or not self.cylinders:
+                return None
+            return Scales(self.rig, self.cylinders[0], None, self.records, part=part)
         name = prefix.removesuffix(".")
         if place[:1] == ("supply",) and all(supplied(log) for log in self.records):
             return None

@@ -99,7 +99,7 @@ class Scales:
         channel = f"{self.cylinder.name}.{self.valve.name}.command"
         logs = [log[channel] for log in self.records if channel in log]
         signs = (self.part.sign,) if isinstance(self.part, Edge) else (1, -1)
-        return max((float(np.max(sign * y)) for y in logs for sign in signs), default=0.0)
+        return max(float(np.max(sign * y)) for y in logs for sign in signs)
 
     @cached_property
     def travel(self) -> float:

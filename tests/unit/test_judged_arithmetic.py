@@ -1,0 +1,275 @@
+"""What judges a model beside the residual, on small arrays: steps, sweeps, black boxes, copies."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehbench.data.record import Record
+from ehbench.frequency_response.response import Estimate, Response
+from ehbench.plant.model import Model
+from ehbench.preprocessing.observations import least_change
+from ehbench.validation import baseline, held_out, sweeps
+from ehbench.validation.residuals import Pair, compare_channel
+from ehbench.validation.results import BlackBox, ChannelResult, LogResult, Ring
+from ehbench.validation.transients import steps_only, transients_of, why_not_judged
+from ehbench.vocabulary.terms import Z95
+from tests.shared import shipped
+
+TICK = 1e-3
+MODEL = Model.of(shipped("slide_servo"))
+COMMAND = "press.servo.command"
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+# --- ringing after steps
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_command_keeps_its_value_until_it_is_off_by_more_than_its_noise(sign):
+    given = sign * np.array([0.2, 0.7, -0.2, 1.0, 1.4, 0.6, 0.49, 0.3, -0.4])
+    held = sign * np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 0.49, 0.49, -0.4])
+    assert steps_only(given, 0.5).tolist() == held.tolist()
+
+
+@pytest.mark.parametrize(
+    ("omega", "damping", "std", "key", "fields"),
+    [
+        (20.0, 0.1, 0.04, "grows", {"damping": 0.1}),
+        (20.0, 0.6, 0.01, "short_stand", {"periods": 20.0 * 0.8 * 0.399 / (2.0 * math.pi)}),
+        (200.0, 1.2, 0.01, "short_stand", {"periods": 0.0}),
+    ],
+)
+def test_a_window_is_as_long_as_its_damped_periods(omega, damping, std, key, fields):
+    t = 10.0 + np.arange(400) * TICK
+    result: Any = Stub(natural_frequency=omega, damping_ratio=damping, damping_ratio_std=std)
+    note: Any = why_not_judged(t, np.zeros((400, 1)), result)
+    assert note.key == f"validation.{key}"
+    assert {name: note.fields[name] for name in fields} == pytest.approx(fields)
+
+
+def test_halves_that_ring_otherwise_are_told_in_hertz():
+    t = np.arange(2000) * TICK
+    swing = np.exp(-1.0 * t) * np.sin(np.where(t < 1.0, 50.0 * t, 50.0 + 75.0 * (t - 1.0)))
+    result: Any = Stub(natural_frequency=50.0, damping_ratio=0.02, damping_ratio_std=1e-4, stop=2.0)
+    result.natural_frequency_std = 0.01
+    note: Any = why_not_judged(t, swing[:, None], result)
+    assert note.key == "validation.halves_differ"
+    assert note.fields["half"] == pytest.approx(75.0 / (2.0 * math.pi), rel=0.01)
+    assert note.fields["whole"] == pytest.approx(50.0 / (2.0 * math.pi))
+
+
+@pytest.mark.parametrize(
+    ("left", "creep", "key"),
+    [(5.0, 0.0, ""), (1.05, 0.0, "only_noise_left"), (5.0, 0.9, "command_moves")],
+)
+def test_a_window_tells_of_a_model_where_more_than_noise_is_left(rng, left, creep, key):
+    """And where its command stands; a position that rings tells nothing."""
+    t, least = np.arange(2000) * TICK, least_change(MODEL.rig.cylinder[0].valve[0])
+    u = least * (2.0 + creep * (t - 0.5) / 1.5) * (t >= 0.5)
+    noise = 1e4 * rng.standard_normal(t.size)
+    swing = np.exp(-2.0 * (t - 0.5)) * np.cos(40.0 * (t - 0.5)) * (t >= 0.5)
+    y = 5e6 + 1e6 * swing + noise
+    log = Record(t, {"press.p_head": y, "press.x": swing, COMMAND: u})
+    simulated = y + left * 1e4 * np.where(np.arange(t.size) % 2, 1.0, -1.0)
+    pairs = {"press.x": Pair(swing, swing, False), "press.p_head": Pair(y, simulated, False)}
+    assert transients_of(log, MODEL, "press", {"press.x": pairs["press.x"]}) == []
+    (window,) = transients_of(log, MODEL, "press", pairs)
+    note: Any = window.recorded.reason if creep else window.note
+    assert getattr(note, "key", "").removeprefix("validation.") == key
+    assert window.start == pytest.approx(0.5)
+    assert window.recorded.cycles == 0.0 if creep else window.recorded.cycles > 5.0
+
+
+def test_a_ringing_is_clear_that_lasts_and_a_black_box_counts_where_it_is_told():
+    assert Ring(10.0, 0.1, 0.1, 0.01, 5.0).clear
+    assert not Ring(10.0, 0.1, 0.1, 0.01, 0.5).clear and not Ring().clear
+    assert not BlackBox().counts
+
+
+# --- sweeps
+
+
+@pytest.mark.parametrize(("wait", "sweeps_so"), [(80, True), (150, False)])
+def test_a_sweep_that_begins_late_stands_no_longer_for_it(wait, sweeps_so):
+    turns = np.repeat(np.arange(100) % 2, 10)
+    u = 5.0 * np.concatenate([np.zeros(500), turns, np.zeros(wait), np.repeat([1.0, 0.0], 10)])
+    t = np.arange(u.size) * TICK
+    found = sweeps._sweeping(Record(t, {COMMAND: u}), MODEL, "press")
+    assert (found is not None) == sweeps_so
+    assert found is None or found == (COMMAND, slice(510, 500 + 1000 + wait + 11))
+    boom, names = Model.of(shipped("boom_four_valve")), ["boom.sh.command", "boom.rt.command"]
+    for sizes, most in (((0.5, 1.0), 1), ((1.0, 0.5), 0)):
+        log = Record(t, {name: size * u for name, size in zip(names, sizes, strict=True)})
+        both = sweeps._sweeping(log, boom, "boom")
+        assert (both and both[0]) == (names[most] if sweeps_so else None)
+
+
+def response_of(gain, delay, coherent, low=None) -> Response:
+    """A response at 1 … 40 Hz that is late and known to 10 %."""
+    f = np.arange(1.0, 41.0)
+    phase = -2.0 * math.pi * f * delay
+    gain = gain * np.ones(40)
+    ends = (gain, gain * (1.0 - 0.1 * Z95), gain * (1.0 + 0.1 * Z95))
+    told = None if low is None else Estimate(delay, low, 2.0 * delay - low)
+    return Response(f, *ends, phase, phase, phase, 0.9 * coherent + 0.05, coherent, 0.1, 9.0, 1.0,
+                    told, None, None, ())  # fmt: skip
+
+
+def test_a_sweep_is_off_by_what_its_errors_do_not_make():
+    """Where the recording is coherent: its gain doubles, it lags 3 ms more than 2 ± 1 ms."""
+    coherent = np.arange(40) % 5 > 0
+    recorded = response_of(2.0, 2e-3, coherent, 1e-3)
+    plain = sweeps._sweep_of("u", "press.v", recorded, None)
+    assert (plain.band, plain.frequencies, plain.averages) == ((2.0, 40.0), 32, 9.0)
+    assert plain.coherence == (pytest.approx(0.95), None)
+    assert plain.delay == (pytest.approx(2e-3), None) and plain.simulated is None
+    found = sweeps._sweep_of("u", "press.v", recorded, response_of(4.0, 5e-3, coherent))
+    assert found.delay == pytest.approx((2e-3, 5e-3))
+    assert found.coherence == pytest.approx((0.95, 0.95))
+    assert found.simulated is not None and found.simulated.frequency[-1] == 40.0
+    assert found.delay_error == pytest.approx(2e-3) and found.gain_ratio == 2.0
+    chance = 0.01 + 1.645 * math.sqrt(2.0 * 2.0 * 32 * 1e-4) / 32.0
+    assert found.gain_error == pytest.approx(math.sqrt(1.0 - chance), rel=1e-6)
+    turn = 2.0 * math.pi * recorded.frequency[coherent] * 3e-3
+    assert found.phase_error == pytest.approx(math.sqrt(np.mean(turn**2) - chance), rel=1e-6)
+    near = sweeps._sweep_of("u", "press.v", recorded, response_of(2.0, 2.5e-3, coherent))
+    assert near.delay_error == near.gain_error == 0.0
+    vague = replace(recorded, delay=None)
+    assert sweeps._sweep_of("u", "press.v", vague, recorded).delay_error == 0.0
+
+
+# --- the black box
+
+
+def test_signals_count_from_the_first_command_and_the_level_before_it():
+    y, u = np.arange(12.0), np.array([2.0, 2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+    log = Record(np.arange(12) * TICK, {"ram.v": y, "ram.a.command": u})
+    t, blocks, given, level = baseline._signals(log, "ram.v", ("ram.a.command",), 2e-3)
+    assert level == 2.0  # of 0 … 4
+    assert t == pytest.approx(TICK * (np.arange(0.0, 12.0, 2.0) + 0.5))
+    assert blocks == pytest.approx(np.arange(0.5, 12.0, 2.0) - 2.0)
+    assert given == pytest.approx(np.array([[0, 0, 1.5, 1.5, 0, 0], [0, 0, 0, -0.5, -1, -2]]).T)
+    at_once = Record(log.t, {"ram.v": y, "ram.a.command": np.arange(12.0)})
+    assert baseline._signals(at_once, "ram.v", ("ram.a.command",), 3e-3)[3] == 1.0
+    still = Record(log.t, {"ram.v": y, "ram.a.command": np.ones(12)})
+    assert baseline._signals(still, "ram.v", ("ram.a.command",), 4e-3)[3] == 1.5
+
+
+def arx_log(rng, order, size=200):
+    """A channel by its recursion from rest, whose command is never below its first."""
+    poles, inputs = np.array([0.5, -0.3])[:order], np.arange(1.0, order + 2.0)
+    u, y = np.abs(rng.standard_normal(size)), np.zeros(size)
+    u[: order + 1] = 0.0
+    for k in range(order, size):
+        past, drive = y[k - order : k][::-1], u[k - order : k + 1][::-1]
+        y[k] = poles @ past + inputs @ drive
+    return poles, inputs, Record(np.arange(size) * TICK, {"ram.v": y, "ram.a.command": u})
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_numbers_of_a_recursion_come_back(rng, order):
+    """What is never commanded has none."""
+    poles, inputs, log = arx_log(rng, order)
+    short = log.at(slice(2 * order))
+    box = baseline._least_squares("ram.v", ("ram.a.command",), TICK, order, [short, log])
+    assert box is not None and box.poles == pytest.approx(poles)
+    assert box.inputs[0::2] == pytest.approx([*inputs, 0.0], abs=1e-9)
+    assert box.inputs[1:-1:2] == pytest.approx(np.zeros(order + 1), abs=1e-9)
+    assert baseline._least_squares("ram.v", ("ram.a.command",), TICK, order, [short]) is None
+    found = baseline.fit("ram.v", [log])
+    assert found is not None and found.tick == pytest.approx(TICK)
+    assert found.run(log) == pytest.approx(log["ram.v"], abs=1e-6)
+
+
+def test_a_black_box_is_shown_over_what_is_scored(rng):
+    _, _, log = arx_log(rng, 1)
+    box = baseline.fit("ram.v", [log])
+    odd = Record(log.t, log.channels | {"ram.v": log["ram.v"] + 9.0 * (log.t > 0.15)})
+    item = ChannelResult("ram.v", "m/s", 50.0, 0.0, 0.0, 0.0)
+    scored = LogResult("a", "none", "held_out", 0.2, TICK, (0.01, 0.1), channels=(item,))
+    shown = baseline._with_fits(scored, odd, {"ram.v": box}).channels[0]
+    assert shown.baseline_percent == pytest.approx(100.0, abs=1e-3)
+    whole = baseline._with_fits(replace(scored, scored=None), odd, {"ram.v": box}).channels[0]
+    assert whole.baseline_percent is not None and whole.baseline_percent < 90.0
+    for other in (replace(item, fit_percent=None), replace(item, channel="ram.x")):
+        same = replace(scored, channels=(other,))
+        assert baseline._with_fits(same, odd, {"ram.v": box}).channels == (other,)
+
+
+# --- residuals
+
+
+def test_a_residual_goes_along_with_the_commands_of_its_own_cylinder(rng):
+    t = np.arange(4000) * TICK
+    u = np.repeat(rng.standard_normal(40), 100)
+    y = 1e6 * np.repeat(rng.standard_normal(400), 10)
+    log = Record(t, {"press.p_head": y, COMMAND: u})
+    late = np.concatenate([np.zeros(200), u[:-200]])
+    result = compare_channel(log, MODEL, "press.p_head", Pair(y, y + 1e5 * late, False))
+    auto: Any = result.autocorrelation
+    (cross,) = result.cross_correlation
+    assert auto.lag[0] == pytest.approx(0.01) and auto.lag[-1] == pytest.approx(0.5)
+    assert len(auto.lag) == len(cross.lag) - 1 == 50 and cross.of == COMMAND
+    assert cross.lag[int(np.argmax(cross.value))] == pytest.approx(0.2)
+    assert 0.0 < cross.outside_percent < 100.0
+    assert result.max_error == pytest.approx(1e5 * late[np.argmax(np.abs(late))])
+    still = Record(t, {"press.p_head": y, COMMAND: np.ones(4000)})
+    same = compare_channel(still, MODEL, "press.p_head", Pair(y, y + 1e5 * late, False))
+    assert same.cross_correlation == () and same.autocorrelation == auto
+    short = log.at(slice(0, 110))
+    part = Pair(y[:110], y[:110] + 1e5 * u[20:130], False)
+    few: Any = compare_channel(short, MODEL, "press.p_head", part).autocorrelation
+    assert len(few.lag) == 2  # a quarter of eleven blocks
+
+
+# --- samples that a model was fitted to
+
+
+@pytest.mark.parametrize(("gap", "runs"), [(1, 1), (2, 2)])
+def test_a_stretch_has_at_most_one_sample_missing(gap, runs):
+    same = np.ones(60, bool)
+    same[30 : 30 + gap] = False
+    rows: Any = Stub(log="a", t=np.arange(60) * TICK)
+    found = held_out._runs(np.arange(60) * TICK, same, rows)
+    assert len(found) == runs and sum(item.samples for item in found) == 60 - gap
+    assert (found[0].start, found[-1].stop) == pytest.approx((0.0, 0.059))
+    assert runs == 1 or (found[0].stop, found[1].start) == pytest.approx((0.029, 0.032))
+
+
+@pytest.mark.parametrize(("quiet", "runs"), [(2, 1), (5, 2)])
+def test_a_copy_of_a_noise_goes_on_where_it_rests_for_some_blocks(rng, quiet, runs):
+    """Its readings are those of the fitted samples but for a tenth of the noise."""
+    size = 64 * 14
+    loud = np.ones(size)
+    loud[64 * 4 : 64 * (4 + quiet)] = 1e-4
+    y = loud * rng.standard_normal(size)
+    copy = y + 0.1 * rng.standard_normal(size)
+    t = np.arange(size) * TICK
+    rows = held_out.FittedSamples("a", t, {"v": y})
+    found = held_out._same_noise(Record(t, {"v": copy, "x": copy}), rows)
+    assert len(found) == runs
+    assert sum(item.samples for item in found) == size - (64 * quiet if runs > 1 else 0)
+    other = Record(t, {"v": loud * rng.standard_normal(size)})
+    assert held_out._same_noise(other, rows) == []
+    assert held_out._same_noise(Record(t, {"x": copy}), rows) == []
+    assert held_out._same_noise(Record(t[:63], {"v": copy[:63]}), rows) == []
+
+
+@pytest.mark.parametrize(("agreeing", "late"), [(24, 0.5), (16, 0.5), (6, 0.0)])
+def test_a_shift_is_what_half_of_the_rows_agree_on(agreeing, late):
+    """Rows of 1, 2, 3 …; of some the copy has each elsewhere."""
+    y = np.arange(1.0, 25.0)
+    t = np.arange(24) * TICK
+    when = t + 0.5
+    when[agreeing:] += 0.1 * np.arange(1.0, 25.0 - agreeing)
+    found = held_out._shift(when, y[:, None], t, y[:, None], np.full(1, 1e-6))
+    assert found == pytest.approx(late)
+    assert held_out._shift(when, y[:, None] + 0.5, t, y[:, None], np.full(1, 1e-6)) == 0.0
