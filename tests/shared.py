@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import EhbenchError
@@ -28,6 +28,17 @@ RIGS = RECIPES / "rigs"
 def shipped(name: str) -> Rig:
     """The rig of a file of the repository."""
     return load_rig(RIGS / f"{name}.toml")
+
+
+def cycle(cylinder: str, waypoints, speed: str, *, gains=None, move=None, **given) -> TrialRecipe:
+    """A trial of adaptive robust control from stroke to stroke; ``move`` are more keys of its
+    motion, ``given`` other ones of its recipe.
+    """
+    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": waypoints}
+    motion |= {"speed": speed} | (move or {})
+    about = {"stage": "trial", "rig": "x.toml", "motion": motion, "path": RECIPES / "trial.toml"}
+    about |= {"controller": {"kind": "arc", "gains": gains or {}}}
+    return TrialRecipe.model_validate(about | given)
 
 
 def refused(key: str, kind: type[EhbenchError] = EhbenchError):

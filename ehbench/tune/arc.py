@@ -14,10 +14,9 @@ from ehbench.config.recipe import ArcTuneRecipe
 from ehbench.control.arc_gains import ARC_GAINS, Adaptation, named_gains, pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import DesignPoint
-from ehbench.plant.design_point import design_point_of
+from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.tune.arc_loop import ARC_LOOP, ArcLoop, LoopMargins, SampledPlant, Sensing
-from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import Message, message

@@ -16,17 +16,17 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.loop import Law, close, damping_ratio, dominant
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from ehbench.tune.operating_point import Aim, equivalent, operating_point, state_of
 from ehbench.vocabulary.codes import (
     EXTEND_OVERRUNNING,
     EXTEND_RESISTIVE,
     FUNCTIONS,
     RETRACT_OVERRUNNING,
 )
-from ehbench.vocabulary.errors import InputError
 from tests.shared import refused, shipped
 
 MACHINES = [
@@ -268,8 +268,6 @@ def test_refusals():
     with refused("tune.unable"):
         cross = FUNCTIONS.index("retract_overrunning_regeneration")
         operating_point(model, circuit, cross, here, 0, Aim(1e5, 1e5, speed=0.1))
-    with pytest.raises(InputError, match="a speed or a share"):
-        operating_point(model, circuit, EXTEND_RESISTIVE, here, 0, Aim(1e5, 1e5))
 
 
 def test_a_path_that_leakage_outdoes_is_out_of_reach():

@@ -13,10 +13,11 @@ from ehbench.ledger import ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge.orifice import root
 from ehbench.parts.line import LINE, Line, drop_for, line_conductance
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model, simulate
 from ehbench.runtime.compiled import table_of
 from ehbench.tune.linear import development_model
-from ehbench.tune.operating_point import circuit_of, state_of
+from ehbench.tune.operating_point import state_of
 from tests.shared import refused
 
 LAMINAR = {"end": "head", "volume": "0.4 L", "resistance": "0.3 bar*min/L"}

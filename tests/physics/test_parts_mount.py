@@ -15,9 +15,9 @@ from ehbench.parts.friction.stribeck import Stribeck
 from ehbench.parts.mount import Mount, piston_of, push_of
 from ehbench.parts.sway import Sway
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.fields import Value
 
 SOFT = {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"}

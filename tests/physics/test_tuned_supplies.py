@@ -8,22 +8,23 @@ from delayed_loop import Bench
 from plant_differences import plant_model
 from test_tuned_damping import damped, damped_as_promised
 
-from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe
+from ehbench.config.recipe import ArcTuneRecipe, TuneRecipe
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
 from ehbench.parts.supply import beside_change, from_rail
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.trial import prepare, run
 from ehbench.tune.arc import tune_arc
 from ehbench.tune.arc_loop import SampledPlant, Sensing
 from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import development_model
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from ehbench.tune.operating_point import Aim, equivalent, operating_point, state_of
 from ehbench.tune.study import prepare_tuning
 from ehbench.vocabulary.fields import Value
-from tests.shared import RIGS, refused, shipped
+from tests.shared import cycle, refused, shipped
 
 FOLLOWING = ("load sensing", "two rails")
 LAG = 0.05
@@ -148,7 +149,7 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
     about = {"cylinder": "stick", "payloads": ("50 lb",), "postures": 2, "also_moving": ("boom",)}
     recipe = TuneRecipe(stage="tune", rig="x", **about)
     study = prepare_tuning(rig, None, recipe)
-    model = study.model("50 lb")
+    model = Model.of(rig, None, "50 lb")
     low = float(rig.supply.tank_pressure) + study.low
     y = model.trim(model.posture({}), low)
     held = max(y[model.layout.state(key, 1)] for key in ("p_head", "p_rod"))
@@ -244,11 +245,8 @@ def followed(kind, name, **given):
         "boom_four_valve": ("boom", ["100 mm", "350 mm", "100 mm"], "70 mm/s"),
     }[name]
     rig = rig_on(kind, name)
-    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": strokes, "speed": speed}
-    motion |= {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3"}
-    load = next(iter(rig.payload))
-    controller = {"kind": "arc", "gains": given}
-    recipe = trial("model", payload=load, motion=motion, controller=controller)
+    load, move = next(iter(rig.payload)), {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3"}
+    recipe = cycle(cylinder, strokes, speed, gains=given, move=move, payload=load)
     measures = run(prepare(recipe, rig)).facts.measures
     assert measures["limit_cycle"] is None
     return measures["tracking"]["max_error"]
@@ -283,12 +281,9 @@ def tuned(kind):
 
 
 def trial(on, delay=0.0, **more):
-    motion = {"kind": "point_to_point", "cylinder": "boom", "speed": "80 mm/s"}
-    motion |= {"waypoints": ["100 mm", "300 mm", "100 mm"]}
-    given = {"stage": "trial", "rig": "x.toml", "on": on, "bench": "bench/boom_four_valve.toml"}
-    given |= {"payload": "bucket", "motion": motion, "controller": {"kind": "arc"}}
-    given |= {"machine": {"delay": f"{float(delay)!r} s"} if delay else None}
-    return TrialRecipe.model_validate(given | {"path": RIGS.parent / "trial.toml"} | more)
+    given = {"on": on, "bench": "bench/boom_four_valve.toml", "payload": "bucket"}
+    given |= {"machine": {"delay": f"{float(delay)!r} s"} if delay else None} | more
+    return cycle("boom", ["100 mm", "300 mm", "100 mm"], "80 mm/s", **given)
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from closed_loop import circuit_of
 
 from ehbench.config.recipe import TuneRecipe, load_recipe
 from ehbench.config.rig import Force
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.report.saved import Table
 from ehbench.report.stages.tuning import parameter_rows
