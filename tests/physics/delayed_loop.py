@@ -7,18 +7,18 @@ import numpy as np
 
 from ehbench.config.recipe import TuneRecipe
 from ehbench.control import arc
-from ehbench.control.arc_gains import Adaptation, pack_arc
+from ehbench.control.arc_gains import pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Controller, late_of
 from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
 from ehbench.parts.valve.delay import line_of
-from ehbench.plant.design_point import design_point_of
+from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import allocating_kernel
 from ehbench.tune.arc_loop import SampledPlant, steady_memory
-from ehbench.tune.operating_point import circuit_of, state_of
+from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import prepare_tuning
 
 TICK = 1.0e-3
@@ -83,9 +83,9 @@ class Bench:
             if SampledPlant.of(one.model, one.point, TICK).stays(self.site, usual)
         ]
 
-    def gains(self, unsure=None, **given):
+    def gains(self, **given):
         """The controller's gains: the defaults but for what is given."""
-        return pack_arc(self.site, self.rules, Adaptation(**(unsure or {})), given)[0]
+        return pack_arc(self.site, self.rules, given)[0]
 
     def loop(self, at, gains):
         """The linearised loop at an operating point."""

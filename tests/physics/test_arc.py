@@ -102,15 +102,6 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     w = 2 * np.pi / 1.6
     sine, cosine = 0.04 * np.sin(w * t), 0.04 * np.cos(w * t)
     reference = np.stack([0.24 - cosine, w * sine, w**2 * cosine, -(w**3) * sine], 1)
-    reference = np.stack(
-        [
-            0.2 + 0.04 * (1 - np.cos(w * t)),
-            0.04 * w * np.sin(w * t),
-            0.04 * w**2 * np.cos(w * t),
-            -0.04 * w**3 * np.sin(w * t),
-        ],
-        1,
-    )
     chosen = {"position_bandwidth": 10.0, "speed_bandwidth": 20.0, "force_bandwidth": 40.0}
     chosen |= {"coupling_frequency": 60.0, "observer_bandwidth": 0.0, "valve_lead": 0.0}
     chosen |= {"speed_tolerance": 0.03, "force_tolerance": 4000.0, "robust_limit": 1e6}
@@ -120,14 +111,13 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     memory = arc.memory_of(ax)
     memory.state.started, memory.state.function, memory.state.x = 1, HOLD, 0.2
     memory.state.estimates[:] = estimates(packed)
-    (start,) = ({name: "0.2 m"} for name in design.layout.cylinders)
+    start = dict.fromkeys(design.layout.cylinders, "0.2 m")
     run = run_model(loaded, ax, packed, reference, start, memory=memory)
     load, ratio = reference_load(ax)
-    mass = load.mass
     truth = np.array([1 / (1 + ratio * payload), payload / (1 + ratio * payload), 0.0, 1.0])
     z2 = run.telemetry["v_error"] + 10.0 * run.telemetry["x_error"]
     z3 = run.telemetry["load_force"] - run.telemetry["load_force_desired"]
-    weight = 1.0 / (mass * 60.0) ** 2
+    weight = 1.0 / (load.mass * 60.0) ** 2
     # the motion proper: the reference is away from rest and no limit is met
     moving = (run.telemetry["function"] != HOLD) & (run.telemetry["limits"] == 0)
     moving &= np.abs(reference[:, 1]) > 0.01

@@ -18,10 +18,10 @@ from ehbench.vocabulary.codes import DISTURBANCE, INVERSE_INERTIA
 from tests.shared import shipped
 
 GAINS = {
-    "defaults": ({}, {}),
-    "livelier": ({"lag_budget": 0.6}, {"robust_limit": 0.3}),
-    "slow observer": ({"lag_budget": 0.5}, {"observer_bandwidth": 90.0}),
-    "fast adaptation": ({"adaptation": 3.5}, {}),
+    "defaults": {},
+    "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
+    "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
+    "fast adaptation": {"adaptation": 3.5},
 }
 
 
@@ -38,8 +38,7 @@ def bench(name, cylinder):
 def test_the_delay_margin_is_where_the_model_begins_to_swing(name, cylinder, gains):
     """Within 20 %, at the point with the least margin, its neighbours free on their oil."""
     rig = bench(name, cylinder)
-    unsure, given = GAINS[gains]
-    packed = rig.gains(unsure, **given)
+    packed = rig.gains(**GAINS[gains])
     told = [(rig.loop(at, packed).margins(Sensing()), at) for at in rig.points]
     margins, worst = min(told, key=lambda one: one[0].delay)
     assert margins.delay > 0.0
