@@ -22,6 +22,12 @@ from ehbench.plant.integrate import STEP
 from ehbench.runtime.compiled import allocating_kernel
 
 TICK = 1.0e-3
+LONG = {  # most of the stroke, fast: cylinder, from, to [m], speed [m/s], payload
+    "thesis_arm": ("boom", 0.05, 0.2, 0.06, "50 lb"),
+    "boom_four_valve": ("boom", 0.1, 0.35, 0.06, "bucket"),
+    "crane_proportional": ("lift", 0.1, 0.4, 0.03, "200 kg"),
+    "slide_servo": ("press", 0.1, 0.3, 0.15, "100 kg"),
+}
 
 
 class Trace(NamedTuple):

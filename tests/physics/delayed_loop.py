@@ -22,6 +22,12 @@ from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import prepare_tuning
 
 TICK = 1.0e-3
+GAINS = {
+    "defaults": {},
+    "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
+    "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
+    "fast adaptation": {"adaptation": 3.5},
+}
 
 
 class Told(NamedTuple):

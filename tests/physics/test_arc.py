@@ -313,31 +313,6 @@ def test_sees_only_its_channels():
         assert np.isnan(run.commands).any(), channel
 
 
-@pytest.mark.parametrize(
-    ("name", "payload", "low", "high", "kilograms"),
-    [
-        ("slide_servo", "100 kg", 0.05, 0.30, None),
-        ("crane_proportional", "200 kg", 0.1, 0.4, 200.0),
-        ("boom_four_valve", "bucket", 0.1, 0.35, 120.0),
-    ],
-)
-def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
-    """The same defaults on a fast spool, a spool with overlap, four separate valves."""
-    rig = shipped(name)
-    design = Model.of(rig)
-    cylinder = design.layout.cylinders[0]
-    ax = axis_of(design, 0, {cylinder: f"{0.5 * (low + high)} m"})
-    reference = there_and_back(low, high, 0.07)
-    for load in (None, payload):
-        machine, gains = Model.of(rig, None, load), gains_of(design, ax)
-        run = run_model(machine, ax, gains, reference, {cylinder: f"{low} m"})
-        assert np.abs(run.telemetry["x_error"]).max() < 1.0e-3
-        assert np.abs(run.telemetry["x_error"][-200:]).max() < RESOLUTION
-        if kilograms is not None:
-            near = pytest.approx(kilograms if load else 0.0, abs=0.05 * kilograms)
-            assert run.telemetry["payload_estimate"][-1] == near
-
-
 def test_an_inclined_slide_weighs_its_load():
     rig = shipped("slide_servo")
     slope = rig.mechanism.model_copy(update={"incline": Value(0.5)})

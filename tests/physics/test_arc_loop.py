@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from delayed_loop import TICK, Bench
+from delayed_loop import GAINS, TICK, Bench
 
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import sample_channels
@@ -16,13 +16,6 @@ from ehbench.tune.arc_loop import ArcLoop, Sampled, SampledPlant, Sensing
 from ehbench.tune.operating_point import state_of
 from ehbench.vocabulary.codes import DISTURBANCE, INVERSE_INERTIA
 from tests.shared import shipped
-
-GAINS = {
-    "defaults": {},
-    "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
-    "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
-    "fast adaptation": {"adaptation": 3.5},
-}
 
 
 @cache

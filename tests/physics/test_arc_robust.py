@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from delayed_loop import Bench
+from delayed_loop import GAINS, Bench
 
 from ehbench.config.recipe import load_rig
 from ehbench.trial import run_trial
@@ -153,12 +153,7 @@ def test_the_overlap_of_a_spool_is_learnt():
     assert with_maps["tracking"]["rms_error"] < 0.6 * without["tracking"]["rms_error"]
 
 
-LIVELY = {
-    "defaults": {},
-    "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
-    "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
-    "fast adaptation": {"adaptation": 4.0},
-}
+LIVELY = GAINS | {"fast adaptation": {"adaptation": 4.0}}
 UNITS = {"lag_budget": "rad", "observer_bandwidth": "rad/s", "adaptation": "rad/s"}
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import LONG
 
 from ehbench.config.recipe import TrialRecipe, TrialSetRecipe
 from ehbench.control import pressure_feedback as pf
@@ -133,14 +134,6 @@ def test_every_law_moves_every_rig(name, on):
         assert worst["arc"]["rms_error"] < 0.3 * worst[law]["rms_error"]
 
 
-LONG = {  # most of the stroke, fast: cylinder, from, to [m], speed [m/s], payload
-    "thesis_arm": ("boom", 0.05, 0.2, 0.06, "50 lb"),
-    "boom_four_valve": ("boom", 0.1, 0.35, 0.06, "bucket"),
-    "crane_proportional": ("lift", 0.1, 0.4, 0.03, "200 kg"),
-    "slide_servo": ("press", 0.1, 0.3, 0.15, "100 kg"),
-}
-
-
 @pytest.mark.parametrize("on", ["model", "bench"])
 @pytest.mark.parametrize("loaded", [False, True])
 @pytest.mark.parametrize("name", LONG)
@@ -159,9 +152,14 @@ def test_the_adaptive_law_does_not_swing_along_the_stroke(name, loaded, on):
     smooth = np.convolve(v, np.full(20, 0.05), "same")
     assert np.std((smooth - desired)[late]) < 0.02 * speed + (0.0 if on == "model" else 3e-3)
     assert facts.measures["tracking"]["max_error"] < (1e-3 if on == "model" else 3e-3)
-    if name == "boom_four_valve":  # its bucket of 120 kg, by valves known from data sheets only
-        kilograms = pytest.approx(120.0 if loaded else 0.0, abs=25.0)
-        assert record["boom.payload_estimate"][-1] == kilograms
+    last = record[f"{cylinder}.payload_estimate"][-1]
+    if on == "model":
+        assert np.abs(record[f"{cylinder}.x_error"][-200:]).max() < 25e-6, "no more than a count"
+        kilograms = {"boom_four_valve": 120.0, "crane_proportional": 200.0}.get(name)
+        if kilograms is not None:
+            assert last == pytest.approx(kilograms * loaded, abs=0.05 * kilograms)
+    elif name == "boom_four_valve":  # its bucket of 120 kg, by valves known from data sheets only
+        assert last == pytest.approx(120.0 * loaded, abs=25.0)
     changes = np.flatnonzero(np.diff(record[f"{cylinder}.function"]))
     assert not steady[changes].any()
 
