@@ -116,7 +116,7 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
     for function in recipe.functions:
         if function not in FUNCTIONS[1:]:
             known = ", ".join(FUNCTIONS[1:])
-            raise InputError(message("tune.unknown_function", function=function, known=known))
+            raise InputError(message("control.unknown_function", name=function, known=known))
     study = Study(rig, maps, recipe, name, low, cross)
     curves, motions = [], []
     for payload in recipe.payloads or (NONE, *rig.payload):

@@ -304,7 +304,7 @@ def test_one_spool_has_no_off_side(tmp_path):
     [
         ("thesis_arm", {}, "tune.several_cylinders"),
         ("boom_four_valve", {"cylinder": "bom"}, None),
-        ("boom_four_valve", {"functions": ("lift",)}, "tune.unknown_function"),
+        ("boom_four_valve", {"functions": ("lift",)}, "control.unknown_function"),
         ("boom_four_valve", {"functions": ("retract_overrunning_regeneration",)}, "tune.unable"),
         ("boom_four_valve", {"payloads": ("stone",)}, None),
         ("boom_four_valve", {"strokes": ("2 m",)}, "tune.stroke_outside"),
