@@ -17,7 +17,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import allocating_kernel
-from ehbench.tune.arc_loop import SampledPlant, steady_memory
+from ehbench.tune.arc_loop import SampledPlant, Sensing, steady_memory
 from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import prepare_tuning
 
@@ -96,6 +96,11 @@ class Bench:
     def loop(self, at, gains):
         """The linearised loop at an operating point."""
         return SampledPlant.of(at.model, at.point, TICK).loop(self.site, gains)
+
+    def worst(self, gains, margin="delay", *sensing):
+        """(margins, operating point) where one margin is least, with a `Sensing`."""
+        told = [(self.loop(at, gains).margins(Sensing(*sensing)), at) for at in self.points]
+        return min(told, key=lambda one: getattr(one[0], margin))
 
     def stroke(self, at, gains, delay, push, span=1.6, louder=1.0):
         """Strokes [m] after a push of the speed [m/s], ``delay`` [s] late, ``louder`` commands."""

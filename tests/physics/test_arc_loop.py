@@ -32,8 +32,7 @@ def test_the_delay_margin_is_where_the_model_begins_to_swing(name, cylinder, gai
     """Within 20 %, at the point with the least margin, its neighbours free on their oil."""
     rig = bench(name, cylinder)
     packed = rig.gains(**GAINS[gains])
-    told = [(rig.loop(at, packed).margins(Sensing()), at) for at in rig.points]
-    margins, worst = min(told, key=lambda one: one[0].delay)
+    margins, worst = rig.worst(packed)
     assert margins.delay > 0.0
     assert rig.onset(worst, packed) == pytest.approx(margins.delay, rel=0.2), worst.point.name
 

@@ -9,7 +9,6 @@ from delayed_loop import GAINS, Bench
 
 from ehbench.config.recipe import load_rig
 from ehbench.trial import run_trial
-from ehbench.tune.arc_loop import Sensing
 from tests.shared import RECIPES, cycle, shipped
 
 # rig → (cylinder, strokes, payload)
@@ -118,8 +117,7 @@ def test_bandwidths_go_by_the_load():
 
     def margin(payload, **given):
         rig = bench("thesis_arm", "boom", 2, (0.7,), (payload,))
-        found = [rig.loop(at, rig.gains(**given)).margins(Sensing()) for at in rig.points]
-        return min(one.delay for one in found)
+        return rig.worst(rig.gains(**given))[0].delay
 
     light, heavy = margin("50 lb"), margin("100 lb")
     assert light == margin("50 lb", bandwidth_limit=0.0)
@@ -162,9 +160,7 @@ def _stated(name, which):
     """(stated, computed) delay margin [s] at the worst point, of the design model."""
     cylinder, _, load = RIGS[name]
     rig = bench(name, cylinder, 3, (0.06, 0.3), ("none", load))
-    packed = rig.gains(**LIVELY[which])
-    found = [rig.loop(at, packed).margins(Sensing(1e-3, 1e-3)) for at in rig.points]
-    worst = min(found, key=lambda one: one.delay)
+    worst, _ = rig.worst(rig.gains(**LIVELY[which]), "delay", 1e-3, 1e-3)
     return worst.stated, worst.delay
 
 

@@ -179,8 +179,6 @@ def test_the_metered_chamber_gives_and_the_off_side_is_driven_to_its_set_point(f
     other.tick(v_d, p_head, p_rod)
     assert other.tick(v_d, p_head + 3e4, p_rod + 3e4)["feedback_flow"] == 0.0
     # off_gain·(set − p) more than A v_d into it; the set-point is low, in the seventh Δp3 above
-    v_d, p_head, p_rod = CHOSEN[function]
-    rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     alone = Alone(off_gain=2e-11, rules=rules)
     note = alone.tick(v_d, p_head, p_rod, p_tank=1e5)
     assert note["function"] == function
