@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import EhbenchError
@@ -35,6 +35,17 @@ def slide(**cylinder: Any) -> Rig:
     plain = shipped("slide_servo").as_toml()
     (own,) = plain["cylinder"]
     return Rig.model_validate(plain | {"cylinder": [own | cylinder]})
+
+
+def cycle(cylinder: str, waypoints, speed: str, *, gains=None, move=None, **given) -> TrialRecipe:
+    """A trial of adaptive robust control from stroke to stroke; ``move`` are more keys of its
+    motion, ``given`` other ones of its recipe.
+    """
+    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": waypoints}
+    motion |= {"speed": speed} | (move or {})
+    about = {"stage": "trial", "rig": "x.toml", "motion": motion, "path": RECIPES / "trial.toml"}
+    about |= {"controller": {"kind": "arc", "gains": gains or {}}}
+    return TrialRecipe.model_validate(about | given)
 
 
 def refused(key: str, kind: type[EhbenchError] = EhbenchError):

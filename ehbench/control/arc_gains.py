@@ -82,7 +82,7 @@ GAINS = record(
     *((name, "f8", (COUNT,)) for name in ("lower", "upper", "rate", "start")),
     ("rules", RULES),
 )
-# what a recipe may say beyond GAIN_NAMES, see `Adaptation`
+# what a recipe may say, see `pack_arc`
 VOCABULARY_OF_GAINS = {
     **{name: VOCABULARY[name] for name in GAIN_NAMES if name not in ("tick", *SWITCHES)},
     **{name: VOCABULARY[name] for name in ("adaptation", "adaptation_bulk", "lag_budget")},
@@ -134,36 +134,6 @@ ARC_GAINS = ArcGainSettings()
 
 
 @dataclass(frozen=True)
-class Adaptation:
-    """What the controller does not know, and how fast it learns.
-
-    Args:
-        adapt: False for the same law with its estimates left at the design model.
-        lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3; ``budget`` by default,
-            and
-            less on a load that swings fast (`_total`).
-        payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's
-            mass by default, or to ``spare`` times the rig file's heaviest payload where that is
-            more.
-        disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by
-            default.
-        bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
-        adaptation: rate at which the mechanical estimates together follow [rad/s]; k1/5 by default,
-            and less on a load that swings fast.
-        adaptation_bulk: the same of the bulk modulus [rad/s]; a fiftieth of ``adaptation`` by
-            default.
-    """
-
-    adapt: bool = True
-    lag_budget: float | None = None
-    payload: tuple[float, float] | None = None
-    disturbance: float | None = None
-    bulk_modulus: tuple[float, float] | None = None
-    adaptation: float | None = None
-    adaptation_bulk: float | None = None
-
-
-@dataclass(frozen=True)
 class _Bounds:
     """Bounds of the estimates, shape (COUNT,), and ``span`` [kg] of the payload."""
 
@@ -183,7 +153,7 @@ class _Bounds:
 
 
 def pack_arc(
-    point: DesignPoint, rules: np.record, unsure: Adaptation, given: Mapping[str, float]
+    point: DesignPoint, rules: np.record, given: Mapping[str, Any]
 ) -> tuple[np.record, np.ndarray]:
     """(the gains of `ehbench.control.arc.step`, a record of type GAINS, with defaults from what the
     valves and the supply allow; the rates of adaptation that a bandwidth of 1 rad/s makes).
@@ -195,27 +165,27 @@ def pack_arc(
     Args:
         point: what it is designed for.
         rules: of function selection, `ehbench.control.functions.pack_rules`.
-        unsure: what is not known.
-        given: any of GAIN_NAMES [SI] instead of its default; `VOCABULARY` says what they are.
+        given: any of VOCABULARY_OF_GAINS [SI] instead of its default; `VOCABULARY`, `_bounds`,
+            `_total` and `_learning` say what they are.
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
             model.
     """
-    _check(given, point.tick, unsure.lag_budget)
+    _check(given, point.tick)
     places = _places(point.axis)
-    bounds, total = _bounds(point, unsure, places[0]), _total(point, unsure, places)
+    bounds, total = _bounds(point, given, places[0]), _total(point, given, places)
     chosen = {
         name: given.get(name, total * part)
         for name, part in zip(GAIN_NAMES[2:5], ARC_GAINS.parts, strict=True)
     }
-    learning = _learning(point, unsure, bounds, chosen, (given, places))
+    learning = _learning(point, given, bounds, chosen, places)
     chosen |= _defaults(point, places[0].load, chosen, total, learning) | dict(given)
     if "observer_bandwidth" not in given and chosen["stroke_resolution"] > 0.0:
         quietest = ARC_GAINS.count * chosen["speed_correction"] / chosen["stroke_resolution"]
         bandwidth = max(quietest, ARC_GAINS.slowest_observer * chosen["position_bandwidth"])
         chosen["observer_bandwidth"] = min(chosen["observer_bandwidth"], bandwidth)
-    chosen |= {"tick": given.get("tick", point.tick), "adapt": given.get("adapt", unsure.adapt)}
+    chosen |= {"tick": given.get("tick", point.tick), "adapt": given.get("adapt", True)}
     chosen["adapt_oil"] = given.get("adapt_oil", 1.0)
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
     # well below the swing of the load where drops are small: on a load-sensing pump, on two rails
@@ -223,7 +193,7 @@ def pack_arc(
     small_drops = float(supply.margin) != 0.0 or float(supply.rail) != 0.0
     corner = ARC_GAINS.corner * min(place.swing for place in places) if small_drops else 0.0
     chosen["drop_corner"] = given.get("drop_corner", corner)
-    if unsure.lag_budget is None and not set(GAIN_NAMES[2:5]) & set(given):
+    if not {"lag_budget", *GAIN_NAMES[2:5]} & set(given):
         softest = ARC_GAINS.faster * min(place.swing for place in places)
         chosen["bandwidth_limit"] = given.get("bandwidth_limit", softest)
     if chosen["standby"] >= 1.0:
@@ -239,13 +209,14 @@ def pack_arc(
     return packed, learning.per_bandwidth
 
 
-def _check(given: Mapping[str, float], tick: float, lag_budget: float | None) -> None:
-    lag_budget = ARC_GAINS.budget if lag_budget is None else lag_budget
+def _check(given: Mapping[str, Any], tick: float) -> None:
     for name in given:
-        if name not in GAIN_NAMES:
-            known = ", ".join(GAIN_NAMES)
+        if name not in ("tick", *VOCABULARY_OF_GAINS):
+            known = ", ".join(VOCABULARY_OF_GAINS)
             raise InputError(message("control.unknown_arc_gain", name=name, known=known))
-    for name, value in {"tick": tick, "lag_budget": lag_budget, **given}.items():
+    for name, value in {"tick": tick, **given}.items():
+        if name not in (*GAIN_NAMES, "lag_budget"):
+            continue  # wrong bounds do not hold the design
         if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in MAY_BE_ZERO):
             raise InputError(message("control.arc_gain_range", name=name, value=value))
 
@@ -275,16 +246,22 @@ def _places(axis: Axis) -> list[_Place]:
     return results
 
 
-def _bounds(point: DesignPoint, unsure: Adaptation, place: _Place) -> _Bounds:
-    """Bounds of the estimates; a payload's are those of inertia and gravity that it makes."""
+def _bounds(point: DesignPoint, given: Mapping[str, Any], place: _Place) -> _Bounds:
+    """Bounds of the estimates; a payload's are those of inertia and gravity that it makes.
+
+    ``payload`` [kg] at the end of the last link: 0 to 1.5 times that link's mass by default, or to
+    ``spare`` times the rig file's heaviest payload where that is more; ``disturbance`` ± [N]: 3 %
+    of supply pressure on the head end; ``bulk_modulus`` [Pa]: the design's through and times
+    1.4."""
     axis, ratio = point.axis, place.ratio
     beta = axis.cylinder.bulk_modulus
     last = float(axis.mechanism.links[-1].mass)
-    low, high = unsure.payload or (0.0, max(ARC_GAINS.link * last, ARC_GAINS.spare * point.payload))
-    worst = unsure.disturbance
-    if worst is None:
-        worst = ARC_GAINS.disturbance * point.supply_pressure * axis.circuit.area_head
-    softest, hardest = unsure.bulk_modulus or (beta / ARC_GAINS.bulk, ARC_GAINS.bulk * beta)
+    heaviest = max(ARC_GAINS.link * last, ARC_GAINS.spare * point.payload)
+    low, high = given.get("payload", (0.0, heaviest))
+    usual = ARC_GAINS.disturbance * point.supply_pressure * axis.circuit.area_head
+    worst = given.get("disturbance", usual)
+    usual = (beta / ARC_GAINS.bulk, ARC_GAINS.bulk * beta)
+    softest, hardest = given.get("bulk_modulus", usual)
     return _Bounds(
         np.array([(1.0 - ARC_GAINS.inertia) / (1.0 + high * ratio), low, -worst, beta / hardest]),
         np.array([(1.0 + ARC_GAINS.inertia) / (1.0 + low * ratio), high, worst, beta / softest]),
@@ -293,14 +270,16 @@ def _bounds(point: DesignPoint, unsure: Adaptation, place: _Place) -> _Bounds:
     )
 
 
-def _total(point: DesignPoint, unsure: Adaptation, places: Sequence[_Place]) -> float:
-    """k1 + k2 + k3 [rad/s] by default.
+def _total(point: DesignPoint, given: Mapping[str, Any], places: Sequence[_Place]) -> float:
+    """k1 + k2 + k3 [rad/s] by default; ``lag_budget`` [rad] is the phase that the loop's lag may
+    take there.
 
-    Where a load swings so fast that lag and ``reserve`` turn the feedback by more than a quarter
-    of a turn, it takes damping away: at most ``damping`` of what the load has by itself."""
+    Without it: where a load swings so fast that lag and ``reserve`` turn the feedback by more than
+    a quarter of a turn, it takes damping away: at most ``damping`` of what the load has by itself.
+    """
     lag = point.valve_lag + point.tick
-    if unsure.lag_budget is not None:
-        return unsure.lag_budget / lag
+    if "lag_budget" in given:
+        return given["lag_budget"] / lag
     total = maximum = ARC_GAINS.budget / lag
     for place in places:
         taken = -math.cos(min(place.swing * (lag + ARC_GAINS.reserve), math.pi))
@@ -322,44 +301,33 @@ class _Learning(NamedTuple):
 
 def _learning(
     point: DesignPoint,
-    unsure: Adaptation,
+    given: Mapping[str, Any],
     bounds: _Bounds,
     bandwidths: Mapping[str, float],
-    known: tuple[Mapping[str, float], Sequence[_Place]],
+    places: Sequence[_Place],
 ) -> _Learning:
-    given, places = known
+    """``adaptation`` [rad/s], at which the mechanical estimates together follow: k1/5 by default,
+    and less on a load that swings fast; ``adaptation_bulk``, of the bulk modulus: a fiftieth of
+    it."""
     coupling = given.get("coupling_frequency") or 0.0
     k1, _, k3 = bandwidths.values()
     each = [_sensitivity(place, bounds.span, bandwidths, coupling) for place in places]
-    middle = each[0]
+    phi, answer, omega = each[0]
     width = (bounds.upper - bounds.lower)[:3]
     variance = (width * np.array(ARC_GAINS.shares)) ** 2
     # where along the stroke an error shows most, so that nowhere they learn faster than stated
-    shown = max(item.answer * float(item.phi**2 @ variance) for item in each)
+    shown = max(shows * float(at**2 @ variance) for at, shows, _ in each)
     late = point.valve_lag + point.tick + ARC_GAINS.reserve
     turned = late * max(place.swing for place in places)
     gamma = ARC_GAINS.adaptation * k1 * min(1.0, 0.5 * math.pi / turned)
-    gamma = gamma if unsure.adaptation is None else unsure.adaptation
+    gamma = given.get("adaptation", gamma)
     # 10 m/s³ times the reference mass stands for the force rates that show the bulk modulus
-    slow = (
-        ARC_GAINS.adaptation_bulk * gamma
-        if unsure.adaptation_bulk is None
-        else unsure.adaptation_bulk
-    )
+    slow = given.get("adaptation_bulk", ARC_GAINS.adaptation_bulk * gamma)
     rate, per = (
-        np.array([*(item * variance / shown), bulk * k3 * (middle.omega / 10.0) ** 2])
+        np.array([*(item * variance / shown), bulk * k3 * (omega / 10.0) ** 2])
         for item, bulk in ((gamma, slow), (1.0, 1.0))
     )
-    return _Learning(rate, per, middle.answer, float(np.abs(middle.phi) @ width))
-
-
-class _Sensitivity(NamedTuple):
-    """Regressors ``phi`` at a middling payload, ``answer`` [s] of the loop to an error of
-    acceleration, frequency ``omega`` [rad/s] of the coupling."""
-
-    phi: np.ndarray
-    answer: float
-    omega: float
+    return _Learning(rate, per, answer, float(np.abs(phi) @ width))
 
 
 def _regressors(load: Load, span: float) -> np.ndarray:
@@ -371,8 +339,11 @@ def _regressors(load: Load, span: float) -> np.ndarray:
 
 def _sensitivity(
     place: _Place, span: float, bandwidths: Mapping[str, float], coupling: float
-) -> _Sensitivity:
-    """An acceleration error Δ shows as mixed = −answer·Δ, so θ̂' = Γ φ mixed makes Δ' =
+) -> tuple[np.ndarray, float, float]:
+    """(regressors φ at a middling payload, answer [s] of the loop to an error of acceleration,
+    frequency [rad/s] of the coupling).
+
+    An acceleration error Δ shows as mixed = −answer·Δ, so θ̂' = Γ φ mixed makes Δ' =
     −adaptation·Δ."""
     load = place.load
     k1, k2, k3 = bandwidths.values()
@@ -380,7 +351,7 @@ def _sensitivity(
     phi = _regressors(load, span)
     at_speed = (1.0 + (k1 + k2) / k3) / (k2 + omega**2 / k3)
     answer = max(at_speed + (k1 + k2) / omega**2 * (k2 * at_speed - 1.0), 0.2 * at_speed)
-    return _Sensitivity(phi, answer, omega)
+    return phi, answer, omega
 
 
 def _defaults(
@@ -445,9 +416,7 @@ def pack(
         InputError: the rig has a part that the law's model of the cylinder lacks.
     """
     check_modelled(point.unmodelled)
-    known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
-    unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
-    packed, per_bandwidth = pack_arc(point, rules, Adaptation(**unsure), known)
+    packed, per_bandwidth = pack_arc(point, rules, gains)
     named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(point, packed)}
     return Packed(packed, named)
 

@@ -124,7 +124,7 @@ def axis_of(
         forces: all of the plant, of `ehbench.parts.load.FORCE`.
 
     Raises:
-        InputError: parts that do not fit each other, or a number that is not finite.
+        InputError: a number that is not finite.
     """
     mechanism = Mechanism(
         int(mechanism.kind),
@@ -133,8 +133,6 @@ def axis_of(
         np.ascontiguousarray(mechanism.joints, np.int64),
         np.ascontiguousarray(mechanism.posture, float),
     )
-    if mechanism.posture.shape != mechanism.links.shape:
-        raise InputError(message("control.posture_mismatch"))
     spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
     spool[HOLD] = spool.max()
     parts = (mechanism.gravity, mechanism.links.view(float), mechanism.posture)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ehbench.control.measured import Pressures
 from ehbench.control.records import blank, constants, numbers, reals, rows_of
-from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
+from ehbench.parts.edge import MAP, PUMP, edge_flow, edge_known
 from ehbench.parts.edge.preload import preload
 from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, offered
 from ehbench.physics.flow_map import ValveMaps
@@ -528,10 +528,7 @@ def circuit(
     Raises:
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
-    if edges.dtype != EDGE:
-        raise InputError(message("control.foreign_edges"))
-    ranges = np.asarray(ranges, float)
-    lowest, highest = np.ascontiguousarray(ranges.T)
+    lowest, highest = np.ascontiguousarray(ranges.T, float)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
     touching = _edges_at(edges, cylinder, (head, rod))
     domain, domain_at = _domains(edges, measured)
@@ -655,11 +652,6 @@ def _plays(touching: np.ndarray, measured: Sequence | None) -> np.ndarray:
         for item in () if pair is None else (pair.forward, pair.reverse):
             play[i] = max(play[i], 0.0 if item is None else item.hysteresis)
     return play
-
-
-def available(circuit: Circuit) -> tuple[str, ...]:
-    """Names of the working functions that a circuit can do, ``hold`` first."""
-    return tuple(name for name, able in zip(FUNCTIONS, circuit.able, strict=True) if able)
 
 
 def coupled(circuit: Circuit, function: int) -> bool:

@@ -135,8 +135,6 @@ def point_to_point(
         raise InputError(message("control.no_waypoints"))
     if holds.shape != points.shape or not np.isfinite(holds).all() or (holds < 0).any():
         raise InputError(message("control.wrong_hold"))
-    if profile not in ("ramp", "seventh"):
-        raise InputError(message("control.unknown_profile", profile=profile))
     moves = [
         _Move(abs(d), speed, acceleration, jerk, profile) if d else None for d in np.diff(points)
     ]

@@ -284,7 +284,7 @@ class _Planner:
         record = Record(built.t, channels, {"payload": trial.payload or "none"})
         terms = self.prepared.logs[0].start.terms
         channels, each = self.prepared.options.channels, self.prepared.logs[0].each
-        log = prepare(model, record, "test", channels, terms, each)
+        log = prepare(model, record, "test", channels, terms, each, None)
         clean = Record(built.t, built.channels, record.meta)
         return replace(log, recorded=channels_of(log, clean))
 

@@ -123,7 +123,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         rig: gives areas, pins and set pressure.
         record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
         cylinder: its name.
-        ledger: of the same record, for the energy drawn; without it by its edge flows, if any.
+        ledger: of the same record, for the energy drawn.
 
     Raises:
         InputError: no such cylinder.
@@ -145,9 +145,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     load = _Load.of(record.t, x, force, supply, (head, rod))
     prices, pressure = load.prices(), load.pressure
     paid = {name: pressure * (a * ways[0] + b * ways[1]) for name, (a, b) in prices.items()}
-    used = (
-        ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
-    )
+    used = None if ledger is None else ledger[f"{cylinder}.drawn"].energy
     retained = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
     against, beyond, back = "", (), abs(ways[0] - ways[1]) <= SETTINGS.closed * max(ways)
     if ledger is not None and (function := function_of(record, cylinder)) is not None:
@@ -281,17 +279,3 @@ def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.nda
             stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
         squeezed += 0.5 * (fixed[1:] + fixed[:-1]) * np.diff(p) / stiffness
     return squeezed
-
-
-def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
-    """``∫ Ps Q dt`` [J] of a cylinder's supply edges, None where a flow is missing."""
-    total = 0.0
-    for name, edge in rig.all_edges().items():
-        if name.split(".", 1)[0] != cylinder or "supply" not in (edge.from_, edge.to):
-            continue
-        channel = f"{name}.flow"
-        if channel not in record or "p_supply" not in record:
-            return None
-        sign = 1.0 if edge.from_ == "supply" else -1.0
-        total += sign * float(np.trapezoid(record["p_supply"] * record[channel], record.t))
-    return total

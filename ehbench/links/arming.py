@@ -4,7 +4,7 @@ distance that fits the margin, a link that keeps time, and a person who says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -118,25 +118,6 @@ def _as_long(prepared: Prepared, rows: int) -> Prepared:
     return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 
-def _permit(
-    prepared: Prepared, url: str, distance: float, ask: Ask | None, blind: Sequence[str]
-) -> None:
-    """Let a person say that a machine may move; ``distance`` [m] is what a lost link costs,
-    ``blind`` are strokes without a sensor.
-
-    Raises:
-        InputError: nobody is there, or the wrong token.
-    """
-    token, shown = token_of(prepared, url), prepared.rig.shown("x", distance)
-    about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
-    if blind:
-        about += "; " + message("links.blind", channels=", ".join(blind))
-    if ask is None:
-        raise InputError(message("links.unarmed", about=about, token=token))
-    if ask(about, token).strip().upper() != token:
-        raise InputError(message("links.wrong_token", token=token))
-
-
 def _watchdog_of(machine: Machine, prepared: Prepared, address: Address) -> float:
     """The watchdog time [s] of a machine that sends samples and stands where the trial begins.
 
@@ -157,8 +138,8 @@ def _watchdog_of(machine: Machine, prepared: Prepared, address: Address) -> floa
 def _permitted(
     prepared: Prepared, address: Address, ask: Ask | None
 ) -> tuple[Machine, Result, dict[str, float]]:
-    """(the machine of a trial, which may move now, the dry run, the stopping distances [m]). Where
-    it may not, the link is let go.
+    """(the machine of a trial, which a person says may move now, the dry run, the stopping
+    distances [m]). Where it may not, the link is let go.
 
     Raises:
         InputError: as `run_remote`.
@@ -171,8 +152,15 @@ def _permitted(
     with ExitStack() as refusal:
         refusal.callback(machine.close)
         dry, distances = rehearsed(prepared, _watchdog_of(machine, prepared, address))
-        blind = [name for name in unmeasured_of(machine) if name.endswith(".x")]
-        _permit(prepared, url, max(distances.values(), default=0.0), ask, blind)
+        token, farthest = token_of(prepared, url), max(distances.values(), default=0.0)
+        shown = prepared.rig.shown("x", farthest)
+        about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
+        if blind := [name for name in unmeasured_of(machine) if name.endswith(".x")]:
+            about += "; " + message("links.blind", channels=", ".join(blind))
+        if ask is None:
+            raise InputError(message("links.unarmed", about=about, token=token))
+        if ask(about, token).strip().upper() != token:
+            raise InputError(message("links.wrong_token", token=token))
         refusal.pop_all()
     return machine, dry, distances
 

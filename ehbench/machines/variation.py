@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ehbench.config.recipe import BenchRecipe, MachineChange, TrialRecipe, load_recipe
+from ehbench.config.recipe import MachineChange, TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.machines.simulated import SimulatedMachine
-from ehbench.machines.virtual import VirtualMachine
+from ehbench.machines.virtual import VirtualMachine, bench_of
 from ehbench.machines.virtual.plant import RAW
 from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMaps, collect
@@ -34,7 +34,7 @@ def varied(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine
     change = recipe.machine
     assert change is not None  # else it is the machine as it is
     if recipe.on == "bench":
-        return _bench(recipe, change, rig, maps)
+        return _bench(recipe, change, rig)
     if float(change.pressure_lag):
         raise InputError(
             "the sensors of the model are exact: it has no pressure_lag",
@@ -95,19 +95,8 @@ def _varied_rig(rig: Rig, change: MachineChange) -> Rig:
     return rig.with_values(values) if values else rig
 
 
-def _bench(
-    recipe: TrialRecipe, change: MachineChange, rig: Rig, maps: Maps | None
-) -> VirtualMachine:
-    given: dict[str, Any] = {
-        "payload": recipe.payload,
-        "rate": float(recipe.rate),
-        "seed": recipe.seed,
-    }
-    base, bench = VirtualMachine.of(recipe, rig, maps).rig, BenchRecipe(stage="bench", rig="")
-    if recipe.bench is not None:
-        loaded = load_recipe(recipe.file(recipe.bench))
-        assert isinstance(loaded, BenchRecipe)
-        bench = loaded
+def _bench(recipe: TrialRecipe, change: MachineChange, rig: Rig) -> VirtualMachine:
+    base, bench = bench_of(recipe, rig)
     # what a bench draws by the rig's numbers stays: these are changed where they act
     slower = change.model_copy(
         update={"friction": 1.0, "flow": 1.0, "deadband": Value(0.0), "supply_pressure": 1.0}
@@ -124,7 +113,8 @@ def _bench(
         valves[name] = item
     late = Value(float(bench.delay) + float(change.delay))
     bench = bench.model_copy(update={"truth": truth, "valve": valves, "delay": late})
-    machine = VirtualMachine(_varied_rig(base, slower), bench, **given)
+    given = recipe.payload, float(recipe.rate)
+    machine = VirtualMachine(_varied_rig(base, slower), bench, *given, seed=recipe.seed)
     plant = machine.bench
     for name in FRICTION:
         plant.cylinders[name] *= change.friction

@@ -9,12 +9,32 @@ import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.control.axis import Mechanism, axis_of, inertias
-from ehbench.control.functions import Circuit
+from ehbench.control.functions import Circuit, circuit
 from ehbench.control.law import DesignPoint
 from ehbench.parts.cylinder import linkage_arrays
+from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.valve import valve_lag
 from ehbench.physics.arm import work_size
+from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
+
+
+def circuit_of(
+    model: Model, cylinder: int, maps: Maps | None = None, unused: Sequence[int] = ()
+) -> Circuit:
+    """The `Circuit` of a cylinder, from a model and the measured maps it was built on, without the
+    edges of valves that are ``unused``, by their numbers.
+
+    Raises:
+        InputError: no edge is left at the cylinder.
+    """
+    plant, edges = model.plant, model.plant.edges_at_chambers
+    off = np.isin(edges.valve, unused)
+    edges.from_node[off] = edges.to_node[off] = SUPPLY  # which is on no path
+    measured, row = [map_of(maps, name) for name in model.layout.edges], plant.cylinders[cylinder]
+    reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
+    areas = row.area_head, row.area_rod
+    return circuit(cylinder, *areas, edges, plant.maps, reach, measured, plant.supply)
 
 
 def design_point_of(

@@ -20,30 +20,3 @@ from ehbench.trial.controllers import gains_file, refuse_unknown
 from ehbench.trial.preparation import RUN_OUT, Prepared, Stop, prepare
 from ehbench.trial.running import Facts, Result, log_channels, run, run_trial
 from ehbench.trial.session import Session
-
-__all__ = [
-    "RUN_OUT",
-    "Account",
-    "Case",
-    "CaseResult",
-    "Facts",
-    "Prepared",
-    "Result",
-    "Session",
-    "Stop",
-    "account",
-    "code_file",
-    "code_files",
-    "command_table",
-    "file_names",
-    "gains_file",
-    "log_channels",
-    "prepare",
-    "refuse_code",
-    "refuse_unknown",
-    "run",
-    "run_cases",
-    "run_trial",
-    "table_csv",
-    "table_rows",
-]

@@ -23,7 +23,6 @@ from ehbench.control.functions import (
     ALL_RULES,
     RULE_NAMES,
     Circuit,
-    circuit,
     default_pressure,
     pack_rules,
 )
@@ -33,9 +32,8 @@ from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
 from ehbench.parts.cylinder import linkage_arrays
-from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import sample_size
-from ehbench.plant.design_point import design_point_of
+from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.errors import InputError
@@ -183,30 +181,21 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
         )
     index = names.index(name) if name is not None else 0
     model = Model.of(rig, maps) if model is None else model
-    plant, layout = model.plant, model.layout
-    measured = [
-        (maps or {}).get(edge) or (maps or {}).get(edge.split(".", 1)[1]) for edge in layout.edges
-    ]
-    edges = plant.edges_at_chambers
+    valves = model.layout.valves
     for valve in controller.unused:
-        if valve not in layout.valves:
+        if valve not in valves:
             raise InputError(
-                message("trial.unused_valve", valve=valve, known=", ".join(layout.valves)),
+                message("trial.unused_valve", valve=valve, known=", ".join(valves)),
                 **recipe.at(*controller.where, "unused"),
             )
-        # an edge from supply to supply is on no path
-        off = edges.valve == layout.valves.index(valve)
-        edges.from_node[off] = edges.to_node[off] = SUPPLY
-    row = plant.cylinders[index]
     with located(recipe, *controller.where, "unused"):
-        reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
-        areas = row.area_head, row.area_rod
-        cylinder_circuit = circuit(index, *areas, edges, plant.maps, reach, measured, plant.supply)
+        unused = [valves.index(valve) for valve in controller.unused]
+        circuit = circuit_of(model, index, maps, unused)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *motion_at, "waypoints"):
         q = model.posture(posture_of(recipe, names[index]))
-    return Design(rig, maps, model, names[index], index, q, cylinder_circuit)
+    return Design(rig, maps, model, names[index], index, q, circuit)
 
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:

@@ -87,15 +87,15 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     """
     motion = recipe.motion
     if motion is None:
-        desired = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
-    else:
-        try:
-            desired = MOTIONS[motion.kind](recipe, motion, design, low_pressure)
-        except InputError as error:
-            if error.file is not None:
-                raise
-            raise InputError(error.message, **recipe.at(*motion.where), hint=error.hint) from None
+        return lasting(recipe, design, rest(design))
+    with located(recipe, *motion.where):
+        desired = MOTIONS[motion.kind](recipe, motion, design, low_pressure)
     return lasting(recipe, design, desired)
+
+
+def rest(design: Design) -> References:
+    """The motion of a cylinder that stands, or whose motion cannot be known yet."""
+    return References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
 
 
 def lasting(recipe: TrialRecipe, design: Design, desired: References) -> References:
@@ -217,12 +217,8 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
         if text.rstrip().endswith("%"):
             share = float(read_value(text, _SHARE))
             way = -1 if share < 0 else 1
-            full = (
-                float(motion.full_speed)
-                if motion.full_speed is not None
-                else full_speed(design, way, low_pressure)
-            )
-            speed = share * full
+            full = motion.full_speed
+            speed = share * (full_speed(design, way, low_pressure) if full is None else float(full))
         else:
             speed = float(read_value(text, VOCABULARY["v"]))
         if speed == 0.0:
@@ -273,9 +269,8 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
 
     def cycled(cycles: int) -> np.ndarray:
         way = limits | {"hold": holds[:1] + cycles * holds[1:]}
-        return point_to_point(
-            points[:1] + cycles * points[1:], tick=1.0 / float(recipe.rate), **way
-        )
+        repeated = points[:1] + cycles * points[1:]
+        return point_to_point(repeated, tick=1.0 / float(recipe.rate), **way)
 
     before = len(cycled(motion.cycles - 1)) - 1 if motion.cycles > 1 else 0
     return References(cycled(motion.cycles), last_cycle=before)

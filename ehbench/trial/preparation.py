@@ -36,7 +36,7 @@ from ehbench.trial.code import refuse_code
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design
 from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
-from ehbench.trial.motion import References, lasting, references
+from ehbench.trial.motion import References, lasting, references, rest
 from ehbench.trial.path import along_path, route
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.errors import InputError
@@ -285,7 +285,7 @@ class Prepared:
 
     def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool | None) -> Aftermath:
         """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
-        ramp, beyond = float(self.recipe.limits.ramp), []
+        ramp, beyond, sentences = float(self.recipe.limits.ramp), [], ""
         samples = rows.samples[span]
         bounds: dict[str, float] = dict(zip(LIMITS, self.limits.tolist(), strict=True))
         for column, channel in enumerate(machine.channels):
@@ -307,14 +307,13 @@ class Prepared:
                 below = limit == "pressure_min" or (limit == "stroke_margin" and not at)
                 if value < bound if below else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
+                    unit = self.rig.unit_of(word)
+                    shown, edge = (
+                        from_si(float(v), unit, VOCABULARY[word]) for v in (value, bound)
+                    )
+                    fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit}
+                    sentences += message("trial.beyond_limit", bound=edge, **fields)
         seconds = (span.stop - span.start - 1) / machine.rate
-        sentences = ""
-        for item in beyond:
-            word = item.channel.rsplit(".", 1)[-1]
-            unit = self.rig.unit_of(word)
-            value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (item.value, item.bound))
-            fields = {"channel": item.channel, "value": value, "unit": unit, "limit": item.limit}
-            sentences += message("trial.beyond_limit", bound=bound, **fields)
         stood = {True: "it stood still", False: "it still moved", None: "no sensor says whether"}
         sentence = message(
             "trial.after_stop",
@@ -352,9 +351,12 @@ def prepare(
     """
     with controllers.located(recipe, "supply"):
         rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
-    loop, posture = None, recipe.posture
-    rig = _with_dynamics(recipe, rig)
-    if recipe.controller is not None:
+    loop, posture, chosen = None, recipe.posture, recipe.controller
+    # of a controller of a set
+    where = chosen.where if chosen is not None and getattr(chosen, "dynamics", None) else ()
+    with controllers.located(recipe, *where, "dynamics"):
+        rig = rig.with_dynamics(recipe.dynamics)
+    if chosen is not None:
         refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
         posture = controllers.posture_of(loop.driven[0].recipe, loop.design.cylinder)
@@ -372,14 +374,11 @@ def prepare(
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, () if loop is None else _controlled_valves(loop))
     machine = open_machine(recipe, rig, maps)
-    limits = limit_array(recipe.limits, rig)
     _refuse_unknown_pressures(recipe, machine)
     payloads = _payloads(recipe, machine, t)
     model = Model.of(rig, maps) if loop is None else loop.design.model
-    cylinders = model.plant.cylinders
-    prepared = Prepared(
-        recipe, rig, maps, machine, t, table, limits, posture, loop, payloads, cylinders
-    )
+    given = recipe, rig, maps, machine, t, table, limit_array(recipe.limits, rig), posture, loop
+    prepared = Prepared(*given, payloads, model.plant.cylinders)
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:
@@ -422,18 +421,6 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
         with controllers.located(recipe, "payload_change", i, "payload"):
             carry(results[row])
     return results
-
-
-def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
-    """The rig with the valve dynamics that a recipe asks for.
-
-    Raises:
-        InputError: no such valve or dynamics, with the line.
-    """
-    chosen = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
-    where = recipe.controller.where if recipe.controller is not None and chosen else ()
-    with controllers.located(recipe, *where, "dynamics"):
-        return rig.with_dynamics(recipe.dynamics)
 
 
 # [numbers] of a row beside those of each cylinder, valve and edge, in all copies of it
@@ -481,7 +468,7 @@ def _loop(
     designs = [controllers.design(single, rig, maps, model) for single in singles]
     notes += tuple(text for item in designs for text in model.creeping(item.cylinder))
     if result is None and len(singles) == 1:
-        motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
+        motion = rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)
         return Loop(driven, _over(_laws(recipe, driven, tuning), driven), level, notes=notes)
     motions = []
@@ -490,7 +477,7 @@ def _loop(
         operated = single.motion is not None and single.motion.kind == "operator"
         desired = single.model_copy(update={} if operated else {"duration": None})
         if standing:
-            motions.append(_rest(design))
+            motions.append(rest(design))
         elif result is None:
             motions.append(references(desired, design, low))
         else:
@@ -532,11 +519,6 @@ def _refuse_misfit(
         tuned = tuning.get("cylinder")
         problem = message("trial.gains_without_motion", cylinder=tuned, moved=moved)
         raise InputError(problem, **recipe.at(*chosen.where, "gains"))
-
-
-def _rest(design: Design) -> References:
-    """The motion of a cylinder whose motion cannot be known yet."""
-    return References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
 
 
 def _laws(

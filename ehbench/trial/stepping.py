@@ -70,12 +70,8 @@ class RecipeController:
     def __init__(self, prepared: Prepared) -> None:
         self._prepared, machine = prepared, prepared.machine
         self.channels, self.commands, self.rate = machine.channels, machine.commands, machine.rate
-        self.ticks, self.posture, self.low_side = (
-            prepared.t.size,
-            prepared.posture,
-            prepared.low_side,
-        )
-        self._row = self.ticks
+        self.posture, self.low_side = prepared.posture, prepared.low_side
+        self._row = self.ticks = prepared.t.size
 
     def start(self, sample: np.ndarray) -> None:
         """As `Controller.start`."""

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe import ArcTuneRecipe
-from ehbench.control.arc_gains import ARC_GAINS, Adaptation, named_gains, pack_arc
+from ehbench.control.arc_gains import ARC_GAINS, named_gains, pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import DesignPoint
-from ehbench.plant.design_point import design_point_of
+from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.tune.arc_loop import ARC_LOOP, ArcLoop, LoopMargins, SampledPlant, Sensing
-from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import Message, message
@@ -141,8 +140,7 @@ class Search:
 
     def gains(self, budget: float) -> tuple[np.record, np.ndarray]:
         """The gains for a phase budget [rad], and the rates of adaptation at 1 rad/s."""
-        unsure = Adaptation(lag_budget=budget)
-        return pack_arc(self.design_point, self.rules, unsure, self.sensor)
+        return pack_arc(self.design_point, self.rules, {"lag_budget": budget} | self.sensor)
 
     def loops(self, budget: float) -> list[ArcLoop]:
         """The loop at every operating point."""

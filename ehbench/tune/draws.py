@@ -11,10 +11,11 @@ import numpy as np
 from ehbench.config.recipe import TuneRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.functions import Circuit
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.tune.linear import development_model
 from ehbench.tune.loop import Law, close
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent
+from ehbench.tune.operating_point import Aim, equivalent
 from ehbench.tune.results import PointResult, Robustness
 from ehbench.tune.search import SEARCH
 from ehbench.tune.study import SteadyMotion, Study, model_under

@@ -20,7 +20,6 @@ from ehbench.tune.loop import (
     AT_ZERO,
     Law,
     Loop,
-    close,
     dominant,
     gain_limit,
     margins,
@@ -167,7 +166,7 @@ def _result(motion: SteadyMotion, law: Law, gain: float, gains: np.ndarray) -> P
     loop, point = motion.loop(law), motion.point
     bare = motion.loop(law.without_feedback())
     opened, closed = np.linalg.eigvals(bare.a), np.linalg.eigvals(loop.closed(gain))
-    plain = close(motion.linear, point, motion.circuit, replace(law, washout=0.0, ramp_washout=0.0))
+    plain = motion.loop(replace(law, washout=0.0, ramp_washout=0.0))
     return PointResult(
         point.name,
         point,
@@ -211,7 +210,7 @@ def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: fl
         crossing = limit if 0 < limit < math.inf else None
     else:
         # the sensitivity 1 + K c (s − a − K b c)⁻¹ b without washout, then an integrator
-        plain = close(motion.linear, motion.point, motion.circuit, replace(law, washout=0.0))
+        plain = motion.loop(replace(law, washout=0.0))
         n = plain.a.shape[0]
         a = np.zeros((n + 1, n + 1))
         a[:n, :n], a[n, :n] = plain.closed(gain), gain * plain.c
@@ -236,10 +235,8 @@ def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: fl
     at = poles[int(np.searchsorted(values, chosen))]
     cross = poles[int(np.searchsorted(values, crossing))] if crossing else np.zeros(0, complex)
     # what matters: the pole pair that swings, from no gain to the choice, and the crossing
-    reach = max(
-        abs(dominant(p, loop.fastest)) for p in (poles[0], at, *([cross] if crossing else []))
-    )
-    reach = float(reach)
+    shown = (poles[0], at, *([cross] if crossing else []))
+    reach = max(abs(dominant(p, loop.fastest)) for p in shown)
     return Locus(
         motion.point.name,
         parameter,

@@ -21,7 +21,6 @@ from ehbench.control.functions import (
     SUPPLY_HEAD,
     SUPPLY_ROD,
     Circuit,
-    circuit,
     coupled,
     path_drop,
     supply_draw,
@@ -40,7 +39,6 @@ from ehbench.parts.supply import from_rail, sensed
 from ehbench.parts.sway import sway_settle
 from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
-from ehbench.plant.build import Maps, map_of
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.vocabulary.codes import FUNCTIONS
@@ -185,30 +183,12 @@ class OperatingPoint:
         return f"{self.function}, {self.payload}, {self.where}"
 
 
-def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit:
-    """The `Circuit` of a cylinder, from a model and the measured maps it was built on."""
-    plant = model.plant
-    measured = [map_of(maps, name) for name in model.layout.edges]
-    row = plant.cylinders[cylinder]
-    ranges = np.column_stack([plant.valves.lowest, plant.valves.highest])
-    return circuit(
-        cylinder,
-        row.area_head,
-        row.area_rod,
-        plant.edges_at_chambers,
-        plant.maps,
-        ranges,
-        measured,
-        plant.supply,
-    )
-
-
 @dataclass(frozen=True)
 class Aim:
     """The steady motion that is requested.
 
-    ``share``: speed as a share of the largest that the valves and the pump carry there, or
-    ``speed``: the speed itself, ≥ 0 [m/s]. ``low_pressure``: set-point of the off-side chamber
+    ``share``: speed as a share of the largest that the valves and the pump carry there; without
+    it ``speed``: the speed itself, ≥ 0 [m/s]. ``low_pressure``: set-point of the off-side chamber
     above tank [Pa]. ``cross_drop``: planned drop of the seventh function [Pa]. ``payload``: what
     the model carries, by name. ``posture`` of the other joints, as `Model.posture`. ``sensed``: the
     highest pressure of other cylinders that a load-sensing pump senses [Pa]."""
@@ -216,14 +196,10 @@ class Aim:
     low_pressure: float
     cross_drop: float
     share: float | None = None
-    speed: float | None = None
+    speed: float = 0.0
     payload: str = "none"
     posture: Mapping[str, str | float] | None = None
     sensed: float = -math.inf
-
-    def __post_init__(self) -> None:
-        if (self.share is None) == (self.speed is None):
-            raise InputError(message("tune.speed_or_share"))
 
 
 @dataclass(frozen=True)
@@ -453,7 +429,7 @@ def operating_point(
     _check(model, circuit, function)
     motion = _Motion(model, circuit, function, here, index, aim)
     row, way = motion.row, DIRECTION[function]
-    speed = aim.share * motion.full_speed() if aim.speed is None else aim.speed  # type: ignore[operator]
+    speed = motion.full_speed() * aim.share if aim.share is not None else aim.speed
     v = way * float(speed)
     settled = motion.settle(v)
     paths = motion.paths(v, settled)

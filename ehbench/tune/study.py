@@ -14,6 +14,7 @@ from ehbench.config.rig import Rig
 from ehbench.control.functions import Circuit, default_pressure
 from ehbench.parts.supply import sensed as sensed_pressure
 from ehbench.plant.build import Maps
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.tune.linear import LinearModel, development_model
@@ -23,7 +24,6 @@ from ehbench.tune.operating_point import (
     Aim,
     Equivalent,
     OperatingPoint,
-    circuit_of,
     equivalent,
     operating_point,
 )
@@ -68,10 +68,6 @@ class Study(Generic[R]):
     motions: tuple[SteadyMotion, ...] = ()
     curves: tuple[Curves, ...] = ()
     notes: tuple[Message, ...] = ()
-
-    def model(self, payload: str) -> Model:
-        """The rig under a payload."""
-        return model_under(self.rig, self.maps, payload)
 
     def steady(
         self, model: Model, circuit: Circuit, function: int, here: Equivalent, index: int, aim: Aim
@@ -120,11 +116,11 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
     for function in recipe.functions:
         if function not in FUNCTIONS[1:]:
             known = ", ".join(FUNCTIONS[1:])
-            raise InputError(message("tune.unknown_function", function=function, known=known))
+            raise InputError(message("control.unknown_function", name=function, known=known))
     study = Study(rig, maps, recipe, name, low, cross)
     curves, motions = [], []
     for payload in recipe.payloads or (NONE, *rig.payload):
-        model = study.model(payload)
+        model = model_under(rig, maps, payload)
         curves.append(_curves(model, name, payload, recipe))
         motions += _possible(study, model, payload)
     possible = {motion.point.function for motion in motions}

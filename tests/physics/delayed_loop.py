@@ -7,21 +7,27 @@ import numpy as np
 
 from ehbench.config.recipe import TuneRecipe
 from ehbench.control import arc
-from ehbench.control.arc_gains import Adaptation, pack_arc
+from ehbench.control.arc_gains import pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Controller, late_of
 from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
 from ehbench.parts.valve.delay import line_of
-from ehbench.plant.design_point import design_point_of
+from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import allocating_kernel
-from ehbench.tune.arc_loop import SampledPlant, steady_memory
-from ehbench.tune.operating_point import circuit_of, state_of
+from ehbench.tune.arc_loop import SampledPlant, Sensing, steady_memory
+from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import prepare_tuning
 
 TICK = 1.0e-3
+GAINS = {
+    "defaults": {},
+    "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
+    "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
+    "fast adaptation": {"adaptation": 3.5},
+}
 
 
 class Told(NamedTuple):
@@ -83,13 +89,18 @@ class Bench:
             if SampledPlant.of(one.model, one.point, TICK).stays(self.site, usual)
         ]
 
-    def gains(self, unsure=None, **given):
+    def gains(self, **given):
         """The controller's gains: the defaults but for what is given."""
-        return pack_arc(self.site, self.rules, Adaptation(**(unsure or {})), given)[0]
+        return pack_arc(self.site, self.rules, given)[0]
 
     def loop(self, at, gains):
         """The linearised loop at an operating point."""
         return SampledPlant.of(at.model, at.point, TICK).loop(self.site, gains)
+
+    def worst(self, gains, margin="delay", *sensing):
+        """(margins, operating point) where one margin is least, with a `Sensing`."""
+        told = [(self.loop(at, gains).margins(Sensing(*sensing)), at) for at in self.points]
+        return min(told, key=lambda one: getattr(one[0], margin))
 
     def stroke(self, at, gains, delay, push, span=1.6, louder=1.0):
         """Strokes [m] after a push of the speed [m/s], ``delay`` [s] late, ``louder`` commands."""

@@ -13,7 +13,14 @@ from ehbench.physics.arm import mass_matrix, work_size
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.tune.linear import LinearModel, part_states, states_of, with_delays
-from ehbench.tune.operating_point import OperatingPoint, state_of
+from ehbench.tune.operating_point import (
+    Aim,
+    OperatingPoint,
+    equivalent,
+    operating_point,
+    state_of,
+)
+from ehbench.vocabulary.codes import FUNCTIONS
 
 # steps of differences over states by what their names contain, of others 1e-4 V
 STEPS = {".rate": 1e-2, ".p_line_": 30.0, "p_supply": 30.0, ".mount_deflection": 1e-8}
@@ -109,3 +116,32 @@ def plant_model(
         e[1 - first] = point.lever**2 * np.linalg.inv(mass)[joint, joint]
     linear = LinearModel(names, valves, table[first:, first:size], table[first:, size:], e)
     return with_delays(linear, model)
+
+
+def points(model, index, circuit, shares=(0.2, 0.8), strokes=(0.15, 0.5, 0.85)):
+    """Every possible operating point of every working function."""
+    here = equivalent(model, index, np.array(strokes) * model.plant.cylinders[index].stroke)
+    for function in range(1, len(FUNCTIONS)):
+        for at in range(len(strokes) if circuit.able[function] else 0):
+            for share in shares:
+                low = model.plant.supply.pressure / 20
+                aim = Aim(low, low, share=share)
+                point = operating_point(model, circuit, function, here, at, aim)
+                if point.possible and point.v:
+                    yield point
+
+
+def steady_rates(model, point):
+    """Rates of the states of a steady motion, each chamber's below 1e-6 of what shutting one of
+    its two flows would give; a common opening is found to 1e-3 Pa."""
+    plant, layout = model.plant, model.layout
+    rate, index = np.empty(layout.states), layout.cylinders.index(point.cylinder)
+    derivatives(*state_of(model, point), plant, rate, np.empty(plant.at.work))
+    row = plant.cylinders[index]
+    for key, area, volume in (
+        ("p_head", row.area_head, point.volume_head),
+        ("p_rod", row.area_rod, point.volume_rod),
+    ):
+        whole = row.bulk_modulus / volume * area * abs(point.v)
+        assert abs(rate[layout.state(key, index)]) < 1e-6 * whole, point.name
+    return rate

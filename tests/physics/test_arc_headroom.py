@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe
 from ehbench.control.arc import ARC, Choice, carried, provide_headroom
 from ehbench.control.functions import METERING, SUPPLY_HEAD
 from ehbench.control.measured import Pressures
@@ -17,7 +16,7 @@ from ehbench.flow_maps.tables import fit_edge, prepare_readings
 from ehbench.physics.flow_map import collect
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.codes import FUNCTIONS, SATURATED
-from tests.shared import RECIPES, shipped
+from tests.shared import RECIPES, cycle, shipped
 
 ARM = shipped("thesis_arm")
 LOW = float(ARM.supply.pressure) / 20.0
@@ -34,13 +33,11 @@ def maps():
 
 def prepared(payload=None, machine=None, rig=ARM, supply=None, **gains):
     """A fast cycle of the boom on the model of a machine whose flow may lack."""
-    motion = {"kind": "point_to_point", "cylinder": "boom", "hold": "0.6 s"}
-    limits = {"speed": "180 mm/s", "acceleration": "1 m/s^2", "jerk": "20 m/s^3"}
-    way = motion | limits | {"waypoints": ["50 mm", "200 mm", "50 mm"]}
-    given = {"stage": "trial", "rig": "x.toml", "on": "model", "machine": machine or {}}
-    given |= {"payload": payload, "motion": way, "controller": {"kind": "arc", "gains": gains}}
+    move = {"hold": "0.6 s", "acceleration": "1 m/s^2", "jerk": "20 m/s^3"}
+    given = {"machine": machine or {}, "payload": payload}
     given |= {} if supply is None else {"supply": supply}
-    recipe = TrialRecipe.model_validate(given | {"path": RECIPES / "trial.toml"})
+    way = "boom", ["50 mm", "200 mm", "50 mm"], "180 mm/s"
+    recipe = cycle(*way, gains=gains, move=move, **given)
     return prepare(recipe, rig, maps() if rig is ARM else None)
 
 

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from delayed_loop import Bench
+from delayed_loop import GAINS, Bench
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import load_rig
 from ehbench.trial import run_trial
-from ehbench.tune.arc_loop import Sensing
-from tests.shared import RECIPES, shipped
+from tests.shared import RECIPES, cycle, shipped
 
 # rig → (cylinder, strokes, payload)
 RIGS = {
@@ -43,12 +42,10 @@ MACHINES = {
 def trial_of(name, payload, change, speed="70 mm/s", move=None, seed=0, gains=None, **given):
     """What came of a trial on the changed machine: its record, and its facts."""
     cylinder, strokes, _ = RIGS[name]
-    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": strokes, "speed": speed}
-    motion |= {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3", "hold": "0.6 s"} | (move or {})
-    about = {"stage": "trial", "rig": f"rigs/{name}.toml", "on": "bench", "machine": change}
-    about |= {"bench": f"bench/{name}.toml", "payload": payload, "seed": seed, "motion": motion}
-    about |= {"controller": {"kind": "arc", "gains": gains or {}}, "path": RECIPES / "trial.toml"}
-    recipe = TrialRecipe.model_validate(about | given)
+    move = {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3", "hold": "0.6 s"} | (move or {})
+    about = {"rig": f"rigs/{name}.toml", "on": "bench", "bench": f"bench/{name}.toml"}
+    about |= {"machine": change, "payload": payload, "seed": seed} | given
+    recipe = cycle(cylinder, strokes, speed, gains=gains, move=move, **about)
     return run_trial(load_rig(RECIPES / recipe.rig), recipe)
 
 
@@ -120,8 +117,7 @@ def test_bandwidths_go_by_the_load():
 
     def margin(payload, **given):
         rig = bench("thesis_arm", "boom", 2, (0.7,), (payload,))
-        found = [rig.loop(at, rig.gains({}, **given)).margins(Sensing()) for at in rig.points]
-        return min(one.delay for one in found)
+        return rig.worst(rig.gains(**given))[0].delay
 
     light, heavy = margin("50 lb"), margin("100 lb")
     assert light == margin("50 lb", bandwidth_limit=0.0)
@@ -155,26 +151,16 @@ def test_the_overlap_of_a_spool_is_learnt():
     assert with_maps["tracking"]["rms_error"] < 0.6 * without["tracking"]["rms_error"]
 
 
-LIVELY = {
-    "defaults": {},
-    "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
-    "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
-    "fast adaptation": {"adaptation": 4.0},
-}
+LIVELY = GAINS | {"fast adaptation": {"adaptation": 4.0}}
 UNITS = {"lag_budget": "rad", "observer_bandwidth": "rad/s", "adaptation": "rad/s"}
 
 
 @cache
 def _stated(name, which):
     """(stated, computed) delay margin [s] at the worst point, of the design model."""
-    gains = LIVELY[which]
-    unsure = {key: v for key, v in gains.items() if key in ("lag_budget", "adaptation")}
-    given = {key: v for key, v in gains.items() if key not in unsure}
     cylinder, _, load = RIGS[name]
     rig = bench(name, cylinder, 3, (0.06, 0.3), ("none", load))
-    packed = rig.gains(unsure, **given)
-    found = [rig.loop(at, packed).margins(Sensing(1e-3, 1e-3)) for at in rig.points]
-    worst = min(found, key=lambda one: one.delay)
+    worst, _ = rig.worst(rig.gains(**LIVELY[which]), "delay", 1e-3, 1e-3)
     return worst.stated, worst.delay
 
 

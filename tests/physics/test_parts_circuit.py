@@ -18,12 +18,12 @@ from ehbench.parts.oil import compressed
 from ehbench.parts.supply import RECOVERY_TIME
 from ehbench.parts.supply import SUPPLY as LINE
 from ehbench.physics.cylinder import ATMOSPHERE
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import supply_off
 from ehbench.runtime.compiled import table_of
 from ehbench.signals.series import ringing
 from ehbench.trial import run_trial
-from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.errors import InputError
 from tests.shared import ROOT, refused, shipped
 

@@ -12,9 +12,9 @@ from ehbench.control.valve_level import edge_order
 from ehbench.flow_maps.step_readings import step_readings
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.loop import damping_ratio
-from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.codes import FAINT, REVERSED
 from ehbench.vocabulary.fields import Value
 from tests.shared import shipped, started_off

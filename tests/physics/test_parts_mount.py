@@ -13,9 +13,9 @@ from ehbench.parts.friction import friction_force
 from ehbench.parts.mount import piston_of, push_of
 from ehbench.parts.sway import Sway
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.operating_point import circuit_of
 from tests.shared import slide
 
 SOFT = {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"}

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from closed_loop import LONG
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.control.functions import METERING, PATH_FLOWS, path_drop
@@ -102,14 +103,7 @@ def test_the_integral_takes_away_what_is_left_and_does_not_wind_up():
     assert full.size > 20 and not moved[full].any() and moved.any()
 
 
-# cylinder, from, to [m], speed [m/s], payload
-MACHINES = {
-    "thesis_arm": ("boom", 0.05, 0.2, 0.06, "50 lb"),
-    "thesis_arm_standard": ("boom", 0.05, 0.2, 0.06, "50 lb"),
-    "boom_four_valve": ("boom", 0.1, 0.35, 0.06, "bucket"),
-    "crane_proportional": ("lift", 0.1, 0.4, 0.03, "200 kg"),
-    "slide_servo": ("press", 0.1, 0.3, 0.15, "100 kg"),
-}
+MACHINES = LONG | {"thesis_arm_standard": LONG["thesis_arm"]}
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])

@@ -1,59 +1,27 @@
 """Pressure feedback over the plant: it damps, keeps the steady speed, sees pressures only."""
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from closed_loop import circuit_of
+from closed_loop import TICK, axis_of, run_from
 
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control.measured import pressure_entries
 from ehbench.control.records import blank
-from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
-from ehbench.plant.integrate import rk4
+from ehbench.parts.sample import OF, entry
 from ehbench.plant.model import Model
-from ehbench.runtime.compiled import allocating_kernel
 from ehbench.vocabulary import codes
 from ehbench.vocabulary.quantities import quantity
 from tests.shared import refused, shipped
 
-TICK = 1e-3
 COLUMN = {name: index for index, name in enumerate(pf.TELEMETRY)}
 
 
-class Law(NamedTuple):
-    """Arguments of `pressure_feedback.step`, with ``given``: which channels it sees."""
-
-    circuit: fn.Circuit
-    gains: np.record
-    memory: Any
-    given: np.ndarray
-    command: np.ndarray
-
-
-@allocating_kernel
-def closed_loop(y, reference, plant, law, samples, notes, commands):
-    """The plant under `pressure_feedback.step`; channels not ``law.given`` are NaN to it."""
-    k = np.empty((5, y.shape[0]))
-    work = np.empty(plant.at.work)
-    seen = np.empty(samples.shape[1])
-    for i in range(reference.shape[0]):
-        perfect_sample(y, plant, samples[i])
-        for j in range(seen.shape[0]):
-            seen[j] = samples[i, j] if law.given[j] else np.nan
-        laws = law.circuit, law.gains, law.memory
-        pf.step(i * 1e-3, seen, reference[i], *laws, law.command, notes[i])
-        for j in range(law.command.shape[0]):
-            commands[i, j] = law.command[j]
-        for _ in range(2):
-            rk4(y, law.command, plant, 5e-4, k, work)
-
-
 class Trial:
-    """A cylinder of a rig under pressure feedback: samples, notes and commands by tick."""
+    """A cylinder of a rig under pressure feedback: its motion, notes and commands by tick."""
 
     def __init__(
         self, rig, cylinder, reference, *, at=None, payload=None, values=None, **gains
@@ -63,29 +31,21 @@ class Trial:
         plant, names = self.model.plant, self.model.layout
         self.index = names.cylinders.index(cylinder)
         row = plant.cylinders[self.index]
-        self.circuit = circuit_of(self.model, self.index)
+        axis = axis_of(self.model, self.index, None)
+        self.circuit = axis.circuit
         low = plant.supply.pressure / 20
         rules = fn.pack_rules(row.area_rod, plant.supply.pressure, low_pressure=low)
         off_gain = 10.0 * row.volume_rod / row.bulk_modulus
         gains |= {"tick": TICK, "rules": rules, "off_gain": off_gain, "low_pressure": low}
         packed = pf.pack_pressure_feedback(**gains)
-        channels = len(sample_channels(names.cylinders))
-        given = pf.observed(self.circuit, channels)
-        count = reference.shape[0]
-        self.samples = np.empty((count, channels))
-        self.notes = np.zeros((count, pf.COLUMNS + 2 * self.circuit.count))
-        self.commands = np.empty((count, len(names.valves)))
         posture = self.model.posture({cylinder: at} if at else None)
         start = self.model.trim(posture, plant.tank_pressure + low)
-        rest = self.model.rest_commands(1)[0]
-        law = Law(self.circuit, packed, blank(pf.MEMORY), given, rest)
-        closed_loop(start, reference, plant, law, self.samples, self.notes, self.commands)
+        run = run_from(start, self.model, axis, packed, reference, pf.LAW)
+        self.notes, self.commands = run.telemetry, run.commands
         words = (OF.x, OF.v, OF.p_head, OF.p_rod)
-        columns = (self.samples[:, entry(self.index, channel)] for channel in words)
-        self.x, self.v, self.p_head, self.p_rod = columns
-
-    def note(self, name: str) -> np.ndarray:
-        return self.notes[:, COLUMN[name]]
+        self.x, self.v, self.p_head, self.p_rod = run.log[
+            :, [entry(self.index, w) for w in words]
+        ].T
 
 
 def swing(v: np.ndarray) -> tuple[float, float]:
@@ -133,7 +93,7 @@ def test_a_step_is_damped(name):
     # Ṗ/ω_w of a ramp
     slope = np.polyfit(np.arange(400) * TICK, fed.p_head[-400:], 1)[0]
     least = 1e-3 * abs(v_d) * fed.circuit.area_head
-    mean = fed.note("feedback_flow")[-400:].mean()
+    mean = fed.notes["feedback_flow"][-400:].mean()
     assert mean == pytest.approx(gain * slope / WASHOUT, rel=0.1, abs=least)
 
 
@@ -219,8 +179,6 @@ def test_the_metered_chamber_gives_and_the_off_side_is_driven_to_its_set_point(f
     other.tick(v_d, p_head, p_rod)
     assert other.tick(v_d, p_head + 3e4, p_rod + 3e4)["feedback_flow"] == 0.0
     # off_gain·(set − p) more than A v_d into it; the set-point is low, in the seventh Δp3 above
-    v_d, p_head, p_rod = CHOSEN[function]
-    rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     alone = Alone(off_gain=2e-11, rules=rules)
     note = alone.tick(v_d, p_head, p_rod, p_tank=1e5)
     assert note["function"] == function
@@ -296,17 +254,17 @@ def test_a_shaped_step_starts_smoothly():
     shaping = tr.pack_shaping(acceleration_max=0.5, jerk_max=10.0)
     plain, shaped = (step("arm lifts", 0.0, shaping=s)[0] for s in (None, shaping))
     assert swing(shaped.v[300:])[0] < 0.7 * swing(plain.v[300:])[0]
-    v = shaped.note("v_shaped")
+    v = shaped.notes["v_shaped"]
     assert np.abs(np.diff(v)).max() <= 0.5 * TICK * (1 + 1e-12)
     assert v[-1] == pytest.approx(0.08, abs=1e-12)
-    assert shaped.note("v_desired")[301] == 0.08
+    assert shaped.notes["v_desired"][301] == 0.08
 
 
 def test_beyond_what_the_supply_gives_it_saturates_says_so_and_comes_back():
     """A speed twice the largest, then a slow one: flagged while it lasts, and forgotten."""
     speeds = tr.velocity_steps([0.4, 0.03], duration=[0.3, 0.9], tick=TICK)
     trial = Trial("thesis_arm", "boom", speeds, at="0.03 m", feedback_gain=8e-11, washout=WASHOUT)
-    limits = trial.note("limits").astype(int)
+    limits = trial.notes["limits"].astype(int)
     assert (limits[20:300] & codes.SATURATED).all() and trial.commands.max() == 10.0
     assert not limits[600:1200].any()
     assert trial.v[-400:-1].mean() == pytest.approx(0.03, rel=0.06)

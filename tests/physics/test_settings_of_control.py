@@ -24,7 +24,7 @@ from ehbench.control import (
     sensor_checks,
 )
 from ehbench.control import position as position_law
-from ehbench.control.arc_gains import Adaptation, pack_arc
+from ehbench.control.arc_gains import pack_arc
 from ehbench.control.law import DesignPoint
 from ehbench.control.trajectory import pack_shaping
 from ehbench.parts.sample import OF, entry
@@ -39,6 +39,9 @@ ANY: Any = Stub()
 ARC, RULES = OfKernels(arc, "ARC"), OfKernels(functions, "FUNCTION")
 MAPS, OIL = OfKernels(map_learning, "MAP_LEARNING"), OfKernels(oil_learning, "OIL_LEARNING")
 MONITOR, SENSORS = OfKernels(monitor, "MONITOR"), OfKernels(sensor_checks, "SENSORS")
+FED, POSITION = OfKernels(pressure_feedback, "DEFAULTS"), OfKernels(position_law, "POSITION")
+GAINS, LOOP, MARGINS = arc_gains.ARC_GAINS, arc_loop.ARC_LOOP, stability.STABILITY
+SWING = limit_cycle.LIMIT_CYCLE
 RATES, SWINGS = [23.35, 66640000.0, 51560000.0, 6.533], [266.2, 219.4, 201.9, 200.3, 216.0]
 
 
@@ -58,7 +61,18 @@ def gain(name="standby", payload=0.0, valve_lag=0.01, tick=1e-3, coarse=False, *
     point = DesignPoint(axis, tick, supply, 1e-3, valve_lag, payload=payload)
     rules = functions.pack_rules(axis.circuit.area_rod, supply)
     given = given if coarse else {"stroke_resolution": 0.0, **given}
-    return pack_arc(point, rules, Adaptation(), given)[0][name]
+    return pack_arc(point, rules, given)[0][name]
+
+
+def ratio(name, to, **given):
+    """A default gain over another, or over what a function gives."""
+    below = to() if callable(to) else gain(to, **given)
+    return round(float(gain(name, **given)) / float(below), 6)
+
+
+def highest_supply():
+    """The supply's pressure [Pa]."""
+    return slide()[0].plant.supply.pressure
 
 
 def rates(**more):
@@ -73,28 +87,30 @@ def place(swing, damping):
 def sum_of(swing, damping):
     """k1 + k2 + k3 for a load that swings at a frequency with a damping, after 10 ms."""
     point: Any = Stub(valve_lag=9e-3, tick=1e-3)
-    return round(arc_gains._total(point, Adaptation(), [place(swing, damping)]), 3)
+    return round(arc_gains._total(point, {}, [place(swing, damping)]), 3)
+
+
+def packed_for(**parts):
+    """The default gains of the slide's controller on an axis with other parts."""
+    axis = slide()[1]._replace(**parts)
+    point = DesignPoint(axis, 1e-3, 2e7, 1e-3, 0.01)
+    return pack_arc(point, functions.pack_rules(axis.circuit.area_rod, 2e7), {})[0]
 
 
 def overlap(onset):
     """The error of a deadband, of the range, where one is known of so much of it, or none."""
-    model, axis = slide()
-    circuit = axis.circuit
-    widest = float(np.abs(circuit.highest).max())
-    axis = axis._replace(onset=np.full_like(axis.onset, onset * widest))
-    point = DesignPoint(axis, 1e-3, 2e7, 1e-3, 0.01)
-    packed = pack_arc(point, functions.pack_rules(circuit.area_rod, 2e7), Adaptation(), {})[0]
+    axis = slide()[1]
+    widest = float(np.abs(axis.circuit.highest).max())
+    packed = packed_for(onset=np.full_like(axis.onset, onset * widest))
     return round(float(packed.deadband_error) / widest, 6)
 
 
 def drop_corner():
     """The corner of the drop on a load-sensing pump, of the load's frequency."""
-    model, axis = slide()
-    supply = axis.circuit.supply.copy()
+    circuit = slide()[1].circuit
+    supply = circuit.supply.copy()
     supply.margin[:] = 1e6
-    axis = axis._replace(circuit=axis.circuit._replace(supply=supply))
-    point = DesignPoint(axis, 1e-3, 2e7, 1e-3, 0.01)
-    packed = pack_arc(point, functions.pack_rules(axis.circuit.area_rod, 2e7), Adaptation(), {})[0]
+    packed = packed_for(circuit=circuit._replace(supply=supply))
     return round(float(packed.drop_corner) / swing(), 6)
 
 
@@ -376,11 +392,12 @@ def shifted():
     return round(asked[1], 6)
 
 
-def score(kind, beyond):
-    """What a flow beyond the expected adds to a score, of a valve that was to pass 1."""
+def score(kind, beyond, rod=0.0):
+    """What flows beyond the expected add to a score, of a valve that was to pass 1 into the head
+    end."""
     row = np.ones(monitor.COLUMNS)
     row[[monitor.ROD, monitor.WIDE_ROD]] = 0.0
-    return unwrap(monitor._gain)(kind, row, beyond, 0.0, 1.0)
+    return unwrap(monitor._gain)(kind, row, beyond, rod, 1.0)
 
 
 def idle_score():
@@ -422,26 +439,28 @@ def checked(x=0.5, others=0.0, turned=0.0):
     return np.round(np.sqrt(sizes), 6).tolist(), seen[sensor_checks.LOAD][0] == 7.0, bool(moved)
 
 
+def stayed(row, pressure, demand, bulk):
+    """(what has changed since a head end's pressure stays, by how much it jumped), remembered in
+    ``row``, in oil of a bulk modulus."""
+    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
+    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=bulk))
+    axis.circuit = Stub(supply=[Stub(flow_limit=0.5, pressure=2e7)])
+    p: Any = Stub(head=pressure, rod=0.0)
+    with answers(sensor_checks, chamber_oil=1.0):
+        changed = unwrap(sensor_checks._still)(0, p, 0.1, demand, axis, sensors)
+    return changed, sensors.jumped[0]
+
+
 def jumped(rise):
     """By how much a pressure that rises by so much in a tick has jumped; twice the supply's flow
     makes it rise by 1."""
-    row = [0.0, 0.0, 0.0, 1e-3, 0.0]
-    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
-    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e3))
-    axis.circuit = Stub(supply=[Stub(flow_limit=0.5, pressure=2e7)])
-    p: Any = Stub(head=rise, rod=0.0)
-    with answers(sensor_checks, chamber_oil=1.0):
-        unwrap(sensor_checks._still)(0, p, 0.1, 0.0, axis, sensors)
-    return round(sensors.jumped[0], 6)
+    return round(stayed([0.0, 0.0, 0.0, 1e-3, 0.0], rise, 0.0, 1e3)[1], 6)
 
 
 def unexplained():
     """How much more what a valve leaves unexplained counts than what it explains."""
-    row = np.ones(monitor.COLUMNS)
-    row[[monitor.ROD, monitor.WIDE_ROD]] = 0.0
-    gain = unwrap(monitor._gain)
-    idle = gain(monitor.SHUT, row, -1.0, 0.0, 1.0)
-    return round(2.0 * (idle - gain(monitor.SHUT, row, -1.0, 1.0, 1.0)), 6)
+    idle = score(monitor.SHUT, -1.0)
+    return round(2.0 * (idle - score(monitor.SHUT, -1.0, 1.0)), 6)
 
 
 def weighed(force=0.0, payload=0.0, damping=0.0, ticks=1, pull=1.0):
@@ -472,13 +491,7 @@ def doubt_left():
 
 def stands(seconds, before=1.0):
     """Whether a pressure is doubted that stays so long, where one stayed so long before."""
-    row = [1e7, 0.0, 0.0, seconds - 1e-3, before]
-    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
-    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e9))
-    axis.circuit = Stub(supply=[Stub(flow_limit=1e-3, pressure=2e7)])
-    p: Any = Stub(head=1e7, rod=0.0)
-    with answers(sensor_checks, chamber_oil=1e-3):
-        return unwrap(sensor_checks._still)(0, p, 0.1, 1e3, axis, sensors) > 0.0
+    return stayed([1e7, 0.0, 0.0, seconds - 1e-3, before], 1e7, 1e3, 1e9)[0] > 0.0
 
 
 # --- tuning
@@ -842,51 +855,41 @@ def known_before():
 
 
 ROWS = [
-    (arc_gains.ARC_GAINS, "spare", heaviest, 11500.0),
-    *each(arc_gains.ARC_GAINS, "budget undamped", lambda: round(0.011 * total(), 6), 0.1092),
-    (arc_gains.ARC_GAINS, "faster",
-     lambda: round(float(gain("bandwidth_limit")) / swing(), 6), 3.9),
-    (arc_gains.ARC_GAINS, "observer",
-     lambda: round(float(gain("observer_bandwidth")) / total(), 6), 6.0),
-    (arc_gains.ARC_GAINS, "fastest_observer",
-     lambda: float(gain("observer_bandwidth", valve_lag=0.0)), 500.0),
-    (arc_gains.ARC_GAINS, "slowest_observer", lambda: round(
-        float(gain("observer_bandwidth", stroke_resolution=1.0) / gain("position_bandwidth")), 6),
-     2.0),
-    (arc_gains.ARC_GAINS, "pressure_rate", lambda: round(
-        float(gain("pressure_rate")) / float(slide()[0].plant.supply.pressure), 6), 3.0),
-    (arc_gains.ARC_GAINS, "robust", lambda: float(gain("robust_limit")), 0.05),
-    (arc_gains.ARC_GAINS, "nudge", lambda: round(
-        float(gain("speed_nudge") / gain("speed_correction")), 6), 0.01),
-    *each(arc_gains.ARC_GAINS, "shares adaptation reserve adaptation_bulk", rates, RATES),
-    (arc_gains.ARC_GAINS, "link", lambda: round(
+    (GAINS, "spare", heaviest, 11500.0),
+    *each(GAINS, "budget undamped", lambda: round(0.011 * total(), 6), 0.1092),
+    (GAINS, "faster", lambda: ratio("bandwidth_limit", swing), 3.9),
+    (GAINS, "observer", lambda: ratio("observer_bandwidth", total), 6.0),
+    (GAINS, "fastest_observer", lambda: float(gain("observer_bandwidth", valve_lag=0.0)), 500.0),
+    (GAINS, "slowest_observer",
+     lambda: ratio("observer_bandwidth", "position_bandwidth", stroke_resolution=1.0), 2.0),
+    (GAINS, "pressure_rate", lambda: ratio("pressure_rate", highest_supply), 3.0),
+    (GAINS, "robust", lambda: float(gain("robust_limit")), 0.05),
+    (GAINS, "nudge", lambda: ratio("speed_nudge", "speed_correction"), 0.01),
+    *each(GAINS, "shares adaptation reserve adaptation_bulk", rates, RATES),
+    (GAINS, "link", lambda: round(
         float(gain("upper")[1] / slide()[1].mechanism.links[-1].mass), 6), 1.5),
-    (arc_gains.ARC_GAINS, "inertia", lambda: round(float(gain("upper")[0]), 6), 1.1),
-    (arc_gains.ARC_GAINS, "disturbance", lambda: round(float(gain("upper")[2] / (
+    (GAINS, "inertia", lambda: round(float(gain("upper")[0]), 6), 1.1),
+    (GAINS, "disturbance", lambda: round(float(gain("upper")[2] / (
         slide()[0].plant.supply.pressure * slide()[1].circuit.area_head)), 6), 0.03),
-    (arc_gains.ARC_GAINS, "bulk",
-     lambda: refusal(gain) or round(float(gain("upper")[3]), 6), 1.4),
-    (arc_gains.ARC_GAINS, "damping", lambda: sum_of(150.0, 10.0), 24.095),
-    (arc_gains.ARC_GAINS, "parts", lambda: [round(
+    (GAINS, "bulk", lambda: refusal(gain) or round(float(gain("upper")[3]), 6), 1.4),
+    (GAINS, "damping", lambda: sum_of(150.0, 10.0), 24.095),
+    (GAINS, "parts", lambda: [round(
         float(gain(f"{word}_bandwidth")) * 0.011 / 0.1092, 6)
         for word in ("position", "speed", "force")], [0.2, 0.18, 0.62]),
-    (arc_gains.ARC_GAINS, "overlap", lambda: overlap(0.0), 0.03),
-    (arc_gains.ARC_GAINS, "onset", lambda: overlap(0.4), 0.1),
-    (arc_gains.ARC_GAINS, "maps", lambda: round(
-        float(gain("map_bandwidth") / gain("position_bandwidth")), 6), 0.12),
-    (arc_gains.ARC_GAINS, "count", lambda: round(float(
+    (GAINS, "overlap", lambda: overlap(0.0), 0.03),
+    (GAINS, "onset", lambda: overlap(0.4), 0.1),
+    (GAINS, "maps", lambda: ratio("map_bandwidth", "position_bandwidth"), 0.12),
+    (GAINS, "count", lambda: round(float(
         gain("observer_bandwidth", stroke_resolution=2e-3) * 2e-3 / gain("speed_correction")), 6),
      0.08),
-    (arc_gains.ARC_GAINS, "pressure", lambda: round(
-        float(gain("pressure_bandwidth")) / total(), 6), 0.6),
-    (arc_gains.ARC_GAINS, "standby",
-     lambda: refusal(gain) or float(gain("standby")), 0.8),
-    (arc_gains.ARC_GAINS, "flow_reserve", lambda: float(gain("flow_reserve")), 0.06),
-    (arc_gains.ARC_GAINS, "map_error", lambda: float(gain("map_error")), 0.25),
-    (arc_gains.ARC_GAINS, "corner", drop_corner, 0.15),
-    (arc_gains.ARC_GAINS, "strokes", swings, SWINGS),
-    (OfKernels(position_law, "POSITION"), "lag_budget", lambda: position(1.0), 0.2),
-    (OfKernels(position_law, "POSITION"), "damping_ratio", lambda: position(1e-3), 20.0),
+    (GAINS, "pressure", lambda: ratio("pressure_bandwidth", total), 0.6),
+    (GAINS, "standby", lambda: refusal(gain) or float(gain("standby")), 0.8),
+    (GAINS, "flow_reserve", lambda: float(gain("flow_reserve")), 0.06),
+    (GAINS, "map_error", lambda: float(gain("map_error")), 0.25),
+    (GAINS, "corner", drop_corner, 0.15),
+    (GAINS, "strokes", swings, SWINGS),
+    (POSITION, "lag_budget", lambda: position(1.0), 0.2),
+    (POSITION, "damping_ratio", lambda: position(1e-3), 20.0),
     (ARC, "ahead", load_ahead, 1e-3),
     (ARC, "smaller", lambda: raised(9.0), 0.15),
     (ARC, "follows", lambda: [felt(n) for n in (1.45, 1.55)], [True, False]),
@@ -931,12 +934,9 @@ ROWS = [
     (ARC, "settled", lambda: [rests(n) for n in (2.9, 3.1)], [False, True]),
     (MAPS, "squeezed", lambda: map_share(pressed=1.0, largest=1e-9)[0], 4806.0),
     (MAPS, "unsteady", lambda: map_share(late=1.0, largest=1e-9)[0], 3.004),
-    (OIL, "softest",
-     lambda: [taken(s)[0] for s in (-1.0, 9.0)], [-0.6, 1.5]),
-    (RULES, "filled", lambda: [filled(False, s) for s in (0.48, 0.52)],
-     [False, True]),
-    (RULES, "filled_active",
-     lambda: [filled(True, s) for s in (0.24, 0.26)], [False, True]),
+    (OIL, "softest", lambda: [taken(s)[0] for s in (-1.0, 9.0)], [-0.6, 1.5]),
+    (RULES, "filled", lambda: [filled(False, s) for s in (0.48, 0.52)], [False, True]),
+    (RULES, "filled_active", lambda: [filled(True, s) for s in (0.24, 0.26)], [False, True]),
     (RULES, "pressures", lambda: functions.default_pressure(20.0), 1.0),
     (RULES, "speed_start", lambda: rule("speed_start"), 2e-4),
     (RULES, "speed_stop", lambda: rule("speed_stop"), 1e-4),
@@ -946,39 +946,35 @@ ROWS = [
     (RULES, "dwell", lambda: rule("dwell"), 0.1),
     (RULES, "power_band", lambda: rule("power_band"), 0.05),
     (RULES, "probe_drop", probe, 1e6),
-    (OfKernels(pressure_feedback, "DEFAULTS"), "off_rate", lambda: feedback("off_gain"), 10.0),
-    (OfKernels(pressure_feedback, "DEFAULTS"), "load_corner", lambda: feedback("load_corner"),
+    (FED, "off_rate", lambda: feedback("off_gain"), 10.0),
+    (FED, "load_corner", lambda: feedback("load_corner"),
      6.283185),
-    (OfKernels(pressure_feedback, "DEFAULTS"), "drop_floor", lambda: feedback("drop_floor"), 2e4),
-    (SENSORS, "usual", lambda: [stands(n) for n in (4.9, 5.1)],
-     [False, True]),
+    (FED, "drop_floor", lambda: feedback("drop_floor"), 2e4),
+    (SENSORS, "usual", lambda: [stands(n) for n in (4.9, 5.1)], [False, True]),
     (SENSORS, "carried", lambda: weighed(1e12, 1.0, 0.0, 1000, 1e9)[2], 95.167),
     (search.SEARCH, "corners", lambda: [round(c, 4) for c in law_search().corners[::21]],
      [25.0, 0.2]),
-    (search.SEARCH, "offs", lambda: shares(), [0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0]),
+    (search.SEARCH, "offs", shares, [0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0]),
     *each(arc_tune.ARC_SEARCH, "refinements budgets", budgets, (15, 0.08, 1.2)),
-    (arc_loop.ARC_LOOP, "slowest", lambda: [slowest(w) for w in (2.8, 3.2)], [-1.0, 1.0]),
-    (arc_loop.ARC_LOOP, "rings", lambda: [frequencies(z)[0] for z in (0.28, 0.32)], [538, 500]),
-    (arc_loop.ARC_LOOP, "points", lambda: frequencies(0.9)[0], 500),
-    (arc_loop.ARC_LOOP, "peak", lambda: reach()[0], 8.2),
-    (arc_loop.ARC_LOOP, "peak_points", lambda: reach()[1], 42),
-    (stability.STABILITY, "around", lambda: crossed()[1], (97.0, 103.0)),
-    (stability.STABILITY, "points", lambda: crossed()[0], 61),
-    (arc_loop.ARC_LOOP, "safety", stated, 2.0),
-    (arc_loop.ARC_LOOP, "growth", lambda: [swings_as_it_is(x) for x in (0.045, 0.055)],
-     [False, True]),
-    (stability.STABILITY, "near", lambda: [bool(crossed(x)[0]) for x in (0.028, 0.032)],
-     [True, False]),
-    *each(stability.STABILITY, "turns spread", lambda: crossed(delay=1.0)[:2], (300, (0.3, 60.0))),
-    (stability.STABILITY, "calm", lambda: [calm(x) for x in (0.9e-9, 1.1e-9)], [True, False]),
-    (stability.STABILITY, "slow", standstill, 1e-6),
+    (LOOP, "slowest", lambda: [slowest(w) for w in (2.8, 3.2)], [-1.0, 1.0]),
+    (LOOP, "rings", lambda: [frequencies(z)[0] for z in (0.28, 0.32)], [538, 500]),
+    (LOOP, "points", lambda: frequencies(0.9)[0], 500),
+    (LOOP, "peak", lambda: reach()[0], 8.2),
+    (LOOP, "peak_points", lambda: reach()[1], 42),
+    (MARGINS, "around", lambda: crossed()[1], (97.0, 103.0)),
+    (MARGINS, "points", lambda: crossed()[0], 61),
+    (LOOP, "safety", stated, 2.0),
+    (LOOP, "growth", lambda: [swings_as_it_is(x) for x in (0.045, 0.055)], [False, True]),
+    (MARGINS, "near", lambda: [bool(crossed(x)[0]) for x in (0.028, 0.032)], [True, False]),
+    *each(MARGINS, "turns spread", lambda: crossed(delay=1.0)[:2], (300, (0.3, 60.0))),
+    (MARGINS, "calm", lambda: [calm(x) for x in (0.9e-9, 1.1e-9)], [True, False]),
+    (MARGINS, "slow", standstill, 1e-6),
     (measures.MEASURES, "shifts", shifts_tried, (-1.0, 1.0, 403)),
     (measures.MEASURES, "used", lambda: [used(s) for s in (0.045, 0.055)], [False, True]),
-    (limit_cycle.LIMIT_CYCLE, "counts", lambda: [coarse_swing(n) for n in (3, 5)],
-     [False, True]),
+    (SWING, "counts", lambda: [coarse_swing(n) for n in (3, 5)], [False, True]),
     (checks.CHECKS, "following", lambda: bounds("following"), 0.1),
     (checks.CHECKS, "mismatch", lambda: bounds("mismatch"), 0.05),
-    (checks.CHECKS, "range", lambda: highest(), 3.0),
+    (checks.CHECKS, "range", highest, 3.0),
     (path.PATH, "spacing", lambda: postures(1.0)[0], [201]),
     (path.PATH, "postures", lambda: postures(0.01)[0], [33]),
     (path.PATH, "doublings", lambda: postures(1.0, 1.0)[:2], ([201, 401, 801, 1601],
@@ -986,29 +982,27 @@ ROWS = [
     (path.PATH, "tries", tried, 65),
     (search.SEARCH, "draw_points", drawn_for, 24),
     (measures.MEASURES, "openings", openings, ([2.35, 10.0], 12)),
-    (limit_cycle.LIMIT_CYCLE, "harmonics", lambda: [often(n) for n in (24, 26)], [False, True]),
+    (SWING, "harmonics", lambda: [often(n) for n in (24, 26)], [False, True]),
     (ARC, "turns", lambda: [rests(turns=n) for n in (3, 4)], [False, True]),
     (ARC, "counts", lambda: [shuts(n) for n in (1.4, 1.6)], [True, False]),
     (ARC, "jump", lambda: [restarts(x) for x in (0.009, 0.011)], [False, True]),
     (ARC, "offset", lambda: payload_after(bound=1e9)[2], 100.0),
     (ARC, "damping", lambda: payload_after(speed=1e9)[2], 200.0),
-    (arc_gains.ARC_GAINS, "resolution", lambda: float(gain("stroke_resolution", coarse=True)),
+    (GAINS, "resolution", lambda: float(gain("stroke_resolution", coarse=True)),
      2.5e-5),
     (MAPS, "narrow", lambda: [slope_of_map(u) for u in (0.1, 0.2)], [6.666667, 5.0]),
     (OIL, "first", unsure_at_first, [1.0, 0.01, 0.15, 0.15]),
     (OfKernels(monitor, "SENSORS"), "drawn", lambda: [supplied(s) for s in (0.68, 0.72)],
      [True, False]),
-    (arc_loop.ARC_LOOP, "estimate", estimate_step, 1e-4),
-    (arc_loop.ARC_LOOP, "inside", off_bounds, 1e-3),
-    (stability.STABILITY, "jump", lambda: [jumps(x) for x in (0.9e-6, 1.1e-6)], [1, 0]),
+    (LOOP, "estimate", estimate_step, 1e-4),
+    (LOOP, "inside", off_bounds, 1e-3),
+    (MARGINS, "jump", lambda: [jumps(x) for x in (0.9e-6, 1.1e-6)], [1, 0]),
     (operating_point.POINT, "difference", push_step, 1e-5),
     (operating_point.POINT, "halvings", top_speed, 0.299804688),
     *each(search.SEARCH, "locus_points step_samples", drawn_points, [182, 201]),
-    (limit_cycle.LIMIT_CYCLE, "windows", kept_of_a_step, [0.249, 0.406, 0.471]),
-    (limit_cycle.LIMIT_CYCLE, "periods", lambda: [uneven(s) for s in (0.33, 0.37)],
-     [True, False]),
-    (limit_cycle.LIMIT_CYCLE, "coarse", lambda: [coarse_swing(2, x) for x in (0.095, 0.105)],
-     [True, False]),
+    (SWING, "windows", kept_of_a_step, [0.249, 0.406, 0.471]),
+    (SWING, "periods", lambda: [uneven(s) for s in (0.33, 0.37)], [True, False]),
+    (SWING, "coarse", lambda: [coarse_swing(2, x) for x in (0.095, 0.105)], [True, False]),
     (path.PATH, "coarse", lambda: postures(1.0)[2], 9),
     (path.PATH, "error", lambda: [postures(1.0, x)[1] for x in (0.9e-5, 1.1e-5)],
      ["", "trial.near_singular"]),

@@ -13,9 +13,10 @@ from ehbench.machines.simulated import model_tick
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.sample import perfect_sample
 from ehbench.parts.valve.delay import line_of
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.tune.gains import tune_pressure_feedback
-from ehbench.tune.operating_point import circuit_of, state_of
+from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import NONE, prepare_tuning
 from ehbench.vocabulary.codes import FUNCTIONS
 from tests.shared import shipped

@@ -5,25 +5,26 @@ from functools import cache
 import numpy as np
 import pytest
 from delayed_loop import Bench
-from plant_differences import plant_model
+from plant_differences import plant_model, points, steady_rates
 from test_tuned_damping import damped, damped_as_promised
 
-from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe
+from ehbench.config.recipe import ArcTuneRecipe, TuneRecipe
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
 from ehbench.parts.supply import beside_change, from_rail
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.trial import prepare, run
 from ehbench.tune.arc import tune_arc
 from ehbench.tune.arc_loop import SampledPlant, Sensing
 from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import development_model
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import prepare_tuning
 from ehbench.vocabulary.fields import Value
-from tests.shared import RIGS, refused, shipped
+from tests.shared import cycle, refused, shipped
 
 FOLLOWING = ("load sensing", "two rails")
 LAG = 0.05
@@ -44,21 +45,14 @@ def rig_on(kind, name, rail=0.35):
     return rig.with_supply(low_rail=LowRail(rail_pressure=rail, rail_margin=margin))
 
 
-def points(rig, cylinder, shares=(0.5,), strokes=(0.15, 0.85)):
+def steady(rig, cylinder, strokes=(0.15, 0.85)):
     """(model, point) of every steady motion that the load calls for."""
     for payload in (None, *rig.payload):
         model = Model.of(rig, None, payload)
         index = model.layout.cylinders.index(cylinder)
-        circuit, row = circuit_of(model, index), model.plant.cylinders[index]
-        here = equivalent(model, index, np.array(strokes) * row.stroke)
-        low = model.plant.supply.pressure / 20
-        for function in np.flatnonzero(circuit.able[1:]) + 1:
-            for at in range(len(strokes)):
-                for share in shares:
-                    aim = Aim(low, low, share=share)
-                    point = operating_point(model, circuit, int(function), here, at, aim)
-                    if point.fits and point.v:
-                        yield model, point
+        for point in points(model, index, circuit_of(model, index), (0.5,), strokes):
+            if point.fits:
+                yield model, point
 
 
 @pytest.mark.parametrize("name", CYLINDERS)
@@ -66,20 +60,9 @@ def points(rig, cylinder, shares=(0.5,), strokes=(0.15, 0.85)):
 def test_equations_agree_with_differences_about_a_steady_motion(kind, name):
     """States at rest, and matrices to 1e-7 of a row: differences are good to 1e-8."""
     count = 0
-    for model, point in points(rig_on(kind, name), CYLINDERS[name]):
-        plant, names = model.plant, model.layout
-        y, command = state_of(model, point)
-        rate = np.empty(names.states)
-        derivatives(y, command, plant, rate, np.empty(plant.at.work))
-        index = names.cylinders.index(point.cylinder)
-        for key, area, volume in (
-            ("p_head", "area_head", point.volume_head),
-            ("p_rod", "area_rod", point.volume_rod),
-        ):
-            row = plant.cylinders[index]
-            shut = row.bulk_modulus / volume * row[area] * abs(point.v)
-            assert abs(rate[names.state(key, index)]) < 1e-6 * shut, point.name
-        assert abs(rate[plant.at.supply]) < 1e-6 * point.p_supply / LAG, point.name
+    for model, point in steady(rig_on(kind, name), CYLINDERS[name]):
+        rate = steady_rates(model, point)
+        assert abs(rate[model.plant.at.supply]) < 1e-6 * point.p_supply / LAG, point.name
         ours, theirs = development_model(model, point), plant_model(model, point)
         assert ours.states == theirs.states
         size = np.array([1e6 if "p_" in s else 100.0 if "rate" in s else 1.0 for s in ours.states])
@@ -93,7 +76,7 @@ def test_the_supply_stands_a_margin_above_what_it_feeds():
     """Up to its highest pressure; where it feeds nothing, above tank."""
     rig = rig_on("load sensing", "thesis_arm")
     most, margin = float(rig.supply.pressure), 0.1 * float(rig.supply.pressure)
-    for model, point in points(rig, "boom"):
+    for model, point in steady(rig, "boom"):
         load = {fn.SUPPLY_HEAD: point.p_head, fn.SUPPLY_ROD: point.p_rod}
         felt = [load[path.path] for path in point.paths if path.path in load] or [point.p_tank]
         assert point.p_supply == pytest.approx(min(felt[0] + margin, most))
@@ -101,7 +84,7 @@ def test_the_supply_stands_a_margin_above_what_it_feeds():
         assert ("p_supply" in development_model(model, point).states) is follows
     # a margin that leaves hardly any range
     high = rig.with_supply(load_sensing=LoadSensing(load_margin=Value(0.95 * most)))
-    ends = [point.p_supply for _, point in points(high, "boom", strokes=(0.5,))]
+    ends = [point.p_supply for _, point in steady(high, "boom", strokes=(0.5,))]
     assert max(ends) == most and all(end <= most for end in ends)
 
 
@@ -109,7 +92,7 @@ def test_each_point_takes_from_the_rail_that_is_enough_or_is_told():
     rig = rig_on("two rails", "thesis_arm")
     most = float(rig.supply.pressure)
     rail, taken = 0.35 * most, set()
-    for _, point in points(rig, "boom"):
+    for _, point in steady(rig, "boom"):
         assert point.p_supply == most
         for path in point.paths:
             if path.path in (fn.SUPPLY_HEAD, fn.SUPPLY_ROD):
@@ -148,7 +131,7 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
     about = {"cylinder": "stick", "payloads": ("50 lb",), "postures": 2, "also_moving": ("boom",)}
     recipe = TuneRecipe(stage="tune", rig="x", **about)
     study = prepare_tuning(rig, None, recipe)
-    model = study.model("50 lb")
+    model = Model.of(rig, None, "50 lb")
     low = float(rig.supply.tank_pressure) + study.low
     y = model.trim(model.posture({}), low)
     held = max(y[model.layout.state(key, 1)] for key in ("p_head", "p_rod"))
@@ -195,8 +178,7 @@ def test_the_delay_margin_is_where_the_model_begins_to_swing(kind, name):
     loads = (next(iter(rig.payload)),)
     rig = Bench(rig, CYLINDERS[name], postures=1, shares=(0.06,), payloads=loads)
     gains = rig.gains()
-    told = [(rig.loop(at, gains).margins(Sensing()), at) for at in rig.points]
-    margins, worst = min(told, key=lambda one: one[0].delay)
+    margins, worst = rig.worst(gains)
     assert margins.delay > 0.0
     assert rig.onset(worst, gains) == pytest.approx(margins.delay, rel=0.2), worst.point.name
 
@@ -205,8 +187,7 @@ def test_load_sensing_costs_gain_margin_on_a_stiff_rig():
     """A tenth below the margin nothing swings, a fifth above it does: valves by measured drop."""
     rig = Bench(rig_on("load sensing", "slide_servo"), "press", postures=2, shares=(0.06,))
     gains = rig.gains(drop_corner=0.0)
-    told = [(rig.loop(at, gains).margins(Sensing()).gain, at) for at in rig.points]
-    margin, worst = min(told, key=lambda one: one[0])
+    (margin, *_), worst = rig.worst(gains, "gain")
     assert 1.3 < margin < 3.0
     assert not rig.grows(worst, gains, 0.0, louder=0.9 * margin)
     assert rig.grows(worst, gains, 0.0, louder=1.2 * margin)
@@ -244,11 +225,8 @@ def followed(kind, name, **given):
         "boom_four_valve": ("boom", ["100 mm", "350 mm", "100 mm"], "70 mm/s"),
     }[name]
     rig = rig_on(kind, name)
-    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": strokes, "speed": speed}
-    motion |= {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3"}
-    load = next(iter(rig.payload))
-    controller = {"kind": "arc", "gains": given}
-    recipe = trial("model", payload=load, motion=motion, controller=controller)
+    load, move = next(iter(rig.payload)), {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3"}
+    recipe = cycle(cylinder, strokes, speed, gains=given, move=move, payload=load)
     measures = run(prepare(recipe, rig)).facts.measures
     assert measures["limit_cycle"] is None
     return measures["tracking"]["max_error"]
@@ -283,12 +261,9 @@ def tuned(kind):
 
 
 def trial(on, delay=0.0, **more):
-    motion = {"kind": "point_to_point", "cylinder": "boom", "speed": "80 mm/s"}
-    motion |= {"waypoints": ["100 mm", "300 mm", "100 mm"]}
-    given = {"stage": "trial", "rig": "x.toml", "on": on, "bench": "bench/boom_four_valve.toml"}
-    given |= {"payload": "bucket", "motion": motion, "controller": {"kind": "arc"}}
-    given |= {"machine": {"delay": f"{float(delay)!r} s"} if delay else None}
-    return TrialRecipe.model_validate(given | {"path": RIGS.parent / "trial.toml"} | more)
+    given = {"on": on, "bench": "bench/boom_four_valve.toml", "payload": "bucket"}
+    given |= {"machine": {"delay": f"{float(delay)!r} s"} if delay else None} | more
+    return cycle("boom", ["100 mm", "300 mm", "100 mm"], "80 mm/s", **given)
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])

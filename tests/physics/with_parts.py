@@ -17,11 +17,12 @@ from ehbench.ledger.quadrature import flows_at, powers_at
 from ehbench.ledger.sheet import Sheet
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import acting_commands
 from ehbench.tune.linear import development_model
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from ehbench.tune.operating_point import Aim, equivalent, operating_point, state_of
 from ehbench.vocabulary.errors import InputError
 from tests.shared import measured, started_off
 

@@ -14,11 +14,11 @@ from ehbench.config.recipe import load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.report import draw
 from ehbench.report.blocks import slug
 from ehbench.runs.rundir import write_json
-from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.results import functions_of
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si

@@ -8,14 +8,14 @@ from typing import cast
 
 import pytest
 
-from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, load_recipe
+from ehbench.config.recipe import ArcTuneRecipe, load_recipe
 from ehbench.report.saved import Saved
 from ehbench.report.stages.arc_tuning import REPORT
 from ehbench.runs.rundir import write_json
 from ehbench.trial import prepare
 from ehbench.tune.arc import ARC_SEARCH, CHOSEN, Search, tune_arc
 from ehbench.tune.study import prepare_tuning
-from tests.shared import RECIPES, refused, shipped
+from tests.shared import RECIPES, cycle, refused, shipped
 
 
 @cache
@@ -23,21 +23,15 @@ def rig():
     return shipped("boom_four_valve")
 
 
+def asked(**given):
+    """A recipe that tunes the adaptive robust controller."""
+    return ArcTuneRecipe.model_validate({"stage": "tune", "what": "arc", "rig": "x", **given})
+
+
 @cache
 def tuned(**demands):
-    recipe = ArcTuneRecipe.model_validate(
-        {
-            "stage": "tune",
-            "what": "arc",
-            "rig": "x",
-            "postures": 2,
-            "payloads": ("none",),
-            "speed_shares": (0.06,),
-            **demands,
-        }
-    )
-    study = prepare_tuning(rig(), None, recipe)
-    return tune_arc(study)
+    given = {"postures": 2, "payloads": ("none",), **demands}
+    return tune_arc(prepare_tuning(rig(), None, asked(speed_shares=(0.06,), **given)))
 
 
 @pytest.mark.slow
@@ -77,8 +71,7 @@ def test_the_next_step_asks_for_what_was_reached_of_the_margins_missed(gain, pha
     )
     (step,) = REPORT.findings(cast(Saved, run)).next
     assert step.hint == keys
-    given = {"stage": "tune", "what": "arc", "rig": "x", **tomllib.loads(keys)}
-    recipe = ArcTuneRecipe.model_validate(given)
+    recipe = asked(**tomllib.loads(keys))
     assert all(
         float(getattr(recipe, line.split()[0])) <= reached[line.split()[0]]
         for line in keys.splitlines()
@@ -91,9 +84,7 @@ def test_motions_that_the_controller_leaves_are_left_out():
 
     def search(*functions):
         given = {"functions": functions, "cylinder": "boom", "payloads": ("none",), "postures": 1}
-        table = {"stage": "tune", "what": "arc", "rig": "x", "speed_shares": (0.06,), **given}
-        recipe = ArcTuneRecipe.model_validate(table)
-        return Search(prepare_tuning(arm, None, recipe))
+        return Search(prepare_tuning(arm, None, asked(speed_shares=(0.06,), **given)))
 
     both = search("retract_overrunning", "retract_overrunning_regeneration")
     assert {one.point.function for one in both.plants} == {"retract_overrunning_regeneration"}
@@ -106,20 +97,8 @@ def test_a_trial_takes_the_gains(tmp_path):
     write_json(tmp_path / "tuning.json", found.as_json())
     told = json.loads((tmp_path / "tuning.json").read_text(encoding="utf-8"))
     assert told["what"] == "arc" and told["safety"] == 1.5
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": "boom",
-                "waypoints": ["100 mm", "120 mm"],
-                "speed": "50 mm/s",
-            },
-            "controller": {"kind": "arc", "gains": "tuning.json"},
-            "path": tmp_path / "trial.toml",
-        }
-    )
+    given = {"gains": "tuning.json", "path": tmp_path / "trial.toml"}
+    recipe = cycle("boom", ["100 mm", "120 mm"], "50 mm/s", **given)
     law = prepare(recipe, rig()).loop.laws[0]
     used = law.used["gains"]
     for name in CHOSEN:

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe
 from ehbench.trial import run_trial
 from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import short_measures
-from tests.shared import shipped
+from tests.shared import cycle, shipped
 
 T = np.arange(8000) / 1000.0
 STROKE = 0.25
@@ -84,22 +83,9 @@ def test_an_error_that_the_reference_makes_is_none(harmonic):
 
 
 def _trial(**gains):
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "payload": "50 lb",
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": "boom",
-                "waypoints": ["220 mm", "40 mm"],
-                "speed": "60 mm/s",
-                "acceleration": "0.3 m/s^2",
-                "hold": "0.3 s",
-            },
-            "controller": {"kind": "arc", "gains": gains},
-        }
-    )
+    move = {"acceleration": "0.3 m/s^2", "hold": "0.3 s"}
+    of = "boom", ["220 mm", "40 mm"], "60 mm/s"
+    recipe = cycle(*of, gains=gains, move=move, payload="50 lb")
     return run_trial(shipped("thesis_arm"), recipe)[1]
 
 

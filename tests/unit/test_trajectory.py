@@ -167,7 +167,6 @@ def test_the_filter_is_the_second_order_one(zeta):
         ({"tick": -1.0}, "limit_range"),
         ({"hold": -0.1}, "wrong_hold"),
         ({"hold": [0.1, 0.1, 0.1]}, "wrong_hold"),
-        ({"profile": "sine"}, "unknown_profile"),
         ({"waypoints": []}, "no_waypoints"),
         ({"waypoints": [0.1, math.inf]}, "no_waypoints"),
     ],

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from closed_loop import circuit_of
 
 from ehbench.config.recipe import TuneRecipe, load_recipe
 from ehbench.config.rig import Force
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.report.saved import Table
 from ehbench.report.stages.tuning import parameter_rows
@@ -304,7 +304,7 @@ def test_one_spool_has_no_off_side(tmp_path):
     [
         ("thesis_arm", {}, "tune.several_cylinders"),
         ("boom_four_valve", {"cylinder": "bom"}, None),
-        ("boom_four_valve", {"functions": ("lift",)}, "tune.unknown_function"),
+        ("boom_four_valve", {"functions": ("lift",)}, "control.unknown_function"),
         ("boom_four_valve", {"functions": ("retract_overrunning_regeneration",)}, "tune.unable"),
         ("boom_four_valve", {"payloads": ("stone",)}, None),
         ("boom_four_valve", {"strokes": ("2 m",)}, "tune.stroke_outside"),

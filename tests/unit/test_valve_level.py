@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from closed_loop import circuit_of
 
 from ehbench.control import functions as fn
 from ehbench.control import valve_level as vl
 from ehbench.control.measured import Pressures
 from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.vocabulary import codes
 from tests.shared import shipped
@@ -33,8 +33,7 @@ def a_map(seed: int, valve: str, direction: str = "forward") -> FlowMap:
 
 def of_rig(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
     model = Model.of(shipped(rig), maps)
-    measured = [(maps or {}).get(v.edge_name(e)) for _, v, e in model.rig.edges()]
-    return circuit_of(model, model.layout.cylinders.index(cylinder), measured)
+    return circuit_of(model, model.layout.cylinders.index(cylinder), maps)
 
 
 EDGES = ("hect", "hepc", "regen", "repc", "rect")

@@ -11,6 +11,4 @@ what a trial drives."""
 
 from __future__ import annotations
 
-from ehbench.machines.virtual.machine import NAME, VirtualMachine
-
-__all__ = ["NAME", "VirtualMachine"]
+from ehbench.machines.virtual.machine import NAME, VirtualMachine, bench_of

@@ -33,10 +33,6 @@ from ehbench.vocabulary.fields import Value, read_value
 from ehbench.vocabulary.quantities import VOCABULARY
 
 
-def _scalar(value) -> float | None:
-    return None if value is None else float(value)
-
-
 class _Given:
     """What a bench file says of one thing: its own entry, else that of ``all``, else a default."""
 
@@ -44,11 +40,8 @@ class _Given:
         self.entries = [table[key] for key in (name, "all") if key in table]
 
     def __call__(self, key: str, default: float) -> float:
-        for entry in self.entries:
-            value = _scalar(getattr(entry, key))
-            if value is not None:
-                return value
-        return default
+        given = (getattr(entry, key) for entry in self.entries)
+        return next((float(value) for value in given if value is not None), default)
 
     def reverse(self) -> _Given:
         result = _Given({}, "")
@@ -317,22 +310,20 @@ def _valves(
 def _air(of: _Seeded) -> tuple[float, float]:
     """(share of free air, its exponent): the bench file's, else the rig's, else usual ones."""
     recipe, oil = of.recipe, of.model.rig.oil
-    given = [
+    share, exponent = (
         getattr(oil, key) if key not in recipe.model_fields_set else None
         for key in ("air_fraction", "polytropic_exponent")
-    ]
-    share, exponent = given
+    )
     return float(share or recipe.air_fraction), float(exponent or recipe.polytropic_exponent)
 
 
 def _fluid(of: _Seeded) -> np.record:
     recipe, row = of.recipe, table(1, FLUID)[0]
-    droop, relief = _scalar(recipe.droop), _scalar(recipe.supply_relief)
     row.air, row.polytropic = _air(of)
-    row.droop = 0.03 * of.p_supply if droop is None else droop
+    row.droop = 0.03 * of.p_supply if recipe.droop is None else float(recipe.droop)
     row.pump_lag = float(recipe.pump_lag)
-    usual = math.inf if of.model.rig.supply.accumulator is not None else 1.15 * of.p_supply
-    row.supply_relief = usual if relief is None else relief
+    relief = math.inf if of.model.rig.supply.accumulator is not None else 1.15 * of.p_supply
+    row.supply_relief = relief if recipe.supply_relief is None else float(recipe.supply_relief)
     if row.pump_lag > 0.0 and row.droop == 0.0:
         hint = "give droop, or pump_lag = '0 s' for an ideal one"
         raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)

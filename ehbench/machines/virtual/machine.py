@@ -75,6 +75,34 @@ def _advance(first, stop, run, rows, law, noise):
     return -1
 
 
+def bench_of(recipe: TrialRecipe, rig: Rig) -> tuple[Rig, BenchRecipe]:
+    """(the rig that a trial's bench is, its bench file, or an empty one where there is none).
+
+    Raises:
+        InputError: no bench file, or one of other cylinders or valves than the rig's.
+    """
+    if recipe.bench is None:
+        return rig, BenchRecipe(stage="bench", rig="")
+    bench = load_recipe(recipe.file(recipe.bench))
+    if not isinstance(bench, BenchRecipe):
+        raise InputError(
+            "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
+        )
+    bench_rig = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
+    bench_rig = bench_rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
+    for what, mine, its in (
+        ("cylinders", [c.name for c in rig.cylinder], [c.name for c in bench_rig.cylinder]),
+        ("valves", layout(rig).valves, layout(bench_rig).valves),
+    ):
+        if mine != its:
+            raise InputError(
+                f"the bench of rig '{bench_rig.name}' has other {what} than rig '{rig.name}'",
+                **recipe.at("bench"),
+                hint=f"the bench has {', '.join(its)}",
+            )
+    return bench_rig, bench
+
+
 class TrueStrokes:
     """The strokes of a running bench as they are, without its sensors."""
 
@@ -126,56 +154,34 @@ class VirtualMachine:
         self.bench = build(recipe, self.model, 1.0 / self.rate)
         self.strokes = self.bench.cylinders.stroke.copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
-        at = self.bench.at
-        self.size, self.raw = at.states, at.channels
-        self.state = np.zeros(at.size)
-        self._running = self._at_rest()
-        self.hidden = TrueStrokes(self._running)
-        self._rng = self._new_noise()
-        self._noise, self._used = np.empty((0, self.raw)), 0
+        self.size, self.raw = self.bench.at.states, self.bench.at.channels
+        self._begin()
 
     @classmethod
     def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> VirtualMachine:
         """The virtual bench that a trial runs on; measured maps are none of its business.
 
         Raises:
-            InputError: no bench file, or one of other cylinders or valves than the rig's.
+            InputError: as `bench_of`.
         """
         given = {"payload": recipe.payload, "rate": float(recipe.rate), "seed": recipe.seed}
-        if recipe.bench is None:
-            return cls(rig, None, **given)
-        bench = load_recipe(recipe.file(recipe.bench))
-        if not isinstance(bench, BenchRecipe):
-            raise InputError(
-                "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
-            )
-        bench_rig = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
-        bench_rig = bench_rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
-        for what, mine, its in (
-            ("cylinders", [c.name for c in rig.cylinder], [c.name for c in bench_rig.cylinder]),
-            ("valves", layout(rig).valves, layout(bench_rig).valves),
-        ):
-            if mine != its:
-                raise InputError(
-                    f"the bench of rig '{bench_rig.name}' has other {what} than rig '{rig.name}'",
-                    **recipe.at("bench"),
-                    hint=f"the bench has {', '.join(its)}",
-                )
-        return cls(bench_rig, bench, **given)
+        return cls(*bench_of(recipe, rig), **given)
 
     def seeded(self, seed: int) -> VirtualMachine:
         """The same machine, not started, with other noise of its sensors."""
         other = copy(self)
-        other.seed, other.state = seed, np.zeros_like(self.state)
-        other._running = other._at_rest()
-        other.hidden = TrueStrokes(other._running)
-        other._rng = other._new_noise()
-        other._noise, other._used = np.empty((0, self.raw)), 0
+        other.seed = seed
+        other._begin()
         return other
 
-    def _at_rest(self) -> Running:
-        scratch = scratch_of(self.bench, 1.0 / self.rate)
-        return Running(self.state, self.bench, 1.0 / self.rate, self.steps, scratch)
+    def _begin(self) -> None:
+        """A state of its own, and its noise from the first row on."""
+        self.state, tick = np.zeros(self.bench.at.size), 1.0 / self.rate
+        scratch = scratch_of(self.bench, tick)
+        self._running = Running(self.state, self.bench, tick, self.steps, scratch)
+        self.hidden = TrueStrokes(self._running)
+        self._rng = self._new_noise()
+        self._noise, self._used = np.empty((0, self.raw)), 0
 
     def _new_noise(self) -> np.random.Generator:
         return np.random.default_rng([self.seed, crc32(b"noise")])
@@ -229,18 +235,8 @@ class VirtualMachine:
         return sample
 
     def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
-        running = self._running
-        noise = self.noise(1)[0]
-        bench_tick(
-            running.state,
-            command,
-            running.bench,
-            running.tick,
-            running.steps,
-            running.scratch,
-            noise,
-            sample,
-        )
+        state, *numbers = self._running
+        bench_tick(state, command, *numbers, self.noise(1)[0], sample)
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
