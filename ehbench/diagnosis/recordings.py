@@ -3,13 +3,13 @@ with two of its channels exchanged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
+from ehbench.diagnosis.cases import QUIET, Case, counts, total
 from ehbench.plant.foreign import model_of
 from ehbench.preprocessing.observations import payload_of
 from ehbench.vocabulary.errors import EhbenchError
@@ -17,36 +17,61 @@ from ehbench.vocabulary.messages import Message, message
 
 NONE = "none"
 Otherwise = tuple[Case, str, dict[str, str]]  # a log recorded otherwise, its message and fields
+CARRIED = 0.5  # share of the residual that another payload must explain
+EXCHANGED = 0.8  # that exchanged channels must
 ASTRAY = 0.5  # rms residual, share of the spread, from which channels may be exchanged
 
 
-def misread(case: Case) -> Iterator[Message]:
+def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
     """A note on a log that is followed much better if it was recorded otherwise, with what to
     write.
+
+    Args:
+        case: the log and its model.
+        before: the same with the model before it was fitted, which exchanged channels spoil.
     """
     if case.model.rig.model is not None or not case.channels:
         return
-    case = replace(case, refined=False)
-    left = case.left(case.simulated())
-    now, noise = total([left]), case.noise_squares
-    if now < QUIET * left.size:
-        return
     spread = sum(y.size * (np.std(y) / case.scales[name]) ** 2 for name, y in case.recorded.items())
-    astray = now > ASTRAY**2 * spread
-    best, gain = None, DOMINANT * (now - noise)
-    for other, key, fields in (*_carrying(case), *(_exchanged(case) if astray else ())):
-        try:
-            less = now - total([other.left(other.simulated())])
-        except EhbenchError:  # nothing moves so
-            continue
-        best, gain = ((key, fields), less) if less > gain else (best, gain)
-    if best is None or not counts(gain, now, noise, case.independent(left)):
+    left = _left(case)
+    astray = left is None or total([left]) > ASTRAY**2 * spread
+    best = _best(case, (*_carrying(case), *(_exchanged(case) if astray else ())))
+    if best is None and astray and before is not None:
+        best = _best(before, _exchanged(before))
+    if best is None or not best[1]:
         return
-    key, fields = best
-    share, log = min(1.0, gain / (now - noise)), case.name
-    cause = message(f"diagnosis.{key}", log=log, share=share, **fields)
-    remedy = message(f"diagnosis.write_{key}", log=log, **fields)
+    share, key, fields = best
+    cause = message(f"diagnosis.{key}", log=case.name, share=share, **fields)
+    remedy = message(f"diagnosis.write_{key}", log=case.name, **fields)
     yield message("diagnosis.misread", cause=cause, remedy=remedy, share=share)
+
+
+def _left(case: Case) -> np.ndarray | None:
+    """What the model leaves of a log, from where its standstill begins; None where it cannot be
+    simulated.
+    """
+    try:
+        return case.left(replace(case, refined=False).simulated())
+    except EhbenchError:
+        return None
+
+
+def _best(case: Case, others: Iterable[Otherwise]) -> tuple[float, str, dict[str, str]] | None:
+    """The share of the residual that the best of some explains, if that is most of it, with its
+    message and fields.
+    """
+    left, noise = _left(case), case.noise_squares
+    if left is None or total([left]) < QUIET * left.size:
+        return None
+    now, best = total([left]), None
+    for other, key, fields in others:
+        rest = _left(other)
+        share = 0.0 if rest is None else min(1.0, (now - total([rest])) / (now - noise))
+        if share > (best[0] if best else CARRIED if key == "carried" else EXCHANGED):
+            best = (share, key, fields)
+    if best is None or not counts(best[0] * (now - noise), now, noise, case.independent(left)):
+        return None
+    return best
 
 
 def _carrying(case: Case) -> Iterator[Otherwise]:
@@ -59,14 +84,25 @@ def _carrying(case: Case) -> Iterator[Otherwise]:
 
 
 def _exchanged(case: Case) -> Iterator[Otherwise]:
-    """A log with two channels of a cylinder exchanged: its pressures, or the commands of two
-    valves.
+    """A log with two of its channels exchanged: pressures of a cylinder, or the commands of two
+    valves, of two cylinders those of one name. A turned motion is tried beside them, which the
+    preparation of a log tells.
     """
     record, rig = case.record, case.model.rig
-    for name in case.cylinders:
-        commands = [f"{name}.{valve.name}.command" for valve in rig.cylinder_named(name).valve]
-        for first, second in ((f"{name}.p_head", f"{name}.p_rod"), *combinations(commands, 2)):
-            if first in record and second in record:
-                given = {first: record[second], second: record[first]}
-                other = replace(case, record=replace(record, channels=record.channels | given))
-                yield other, "exchanged", {"first": first, "second": second}
+    valves = [(cylinder.name, valve.name) for cylinder, valve in rig.valves()]
+    pairs = [(f"{name}.p_head", f"{name}.p_rod") for name in case.cylinders]
+    pairs += [
+        (f"{owner}.{first}.command", f"{other}.{second}.command")
+        for (owner, first), (other, second) in combinations(valves, 2)
+        if owner == other or first == second
+    ]
+    motions = [f"{name}.{word}" for name in case.cylinders for word in ("x", "q", "v", "qd")]
+    changes = [("", {name: -record[name]}) for name in motions if name in record]
+    changes += [
+        ("exchanged", {first: record[second], second: record[first]})
+        for first, second in pairs
+        if first in record and second in record
+    ]
+    for key, given in changes:
+        other = replace(case, record=replace(record, channels=record.channels | given))
+        yield other, key, dict(zip(("first", "second"), given, strict=False))

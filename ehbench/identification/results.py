@@ -297,12 +297,21 @@ def not_excited(c: Coordinate, samples: int) -> FittedParameter:
     )
 
 
-def _misread(simulator: Simulator, values: Sequence[float]) -> Iterator[Message]:
+def _misread(
+    simulator: Simulator, values: Sequence[float], starts: Sequence[float]
+) -> Iterator[Message]:
     """Notes on logs that were recorded otherwise than they are said to be."""
-    models, maps = simulator.models(values), simulator.maps
+    now, before = simulator.models(values), simulator.models(starts)
     for log in simulator.logs:
-        facts = log.name, log.record, models[log.payload], log.commanded, maps
-        yield from misread(Case(*facts, terms=log.start.terms))
+        case = Case(
+            log.name,
+            log.record,
+            now[log.payload],
+            log.commanded,
+            simulator.maps,
+            terms=log.start.terms,
+        )
+        yield from misread(case, replace(case, model=before[log.payload]))
 
 
 def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
@@ -316,8 +325,9 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     logs, recordings = [], []
     shifts = simulator.unshifted() if result.shifts is None else result.shifts
     values = [*(item.value for item in result.fitted), *result.shared]
+    begun = [*(item.start for item in result.fitted), *result.shared]
     starts, replays = simulator.replay(values, shifts)
-    warnings += [*simulator.short_steps(values, shifts), *_misread(simulator, values)]
+    warnings += [*simulator.short_steps(values, shifts), *_misread(simulator, values, begun)]
     moving: dict[str, list[Record]] = {}
     for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)

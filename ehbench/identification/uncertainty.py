@@ -24,6 +24,8 @@ from ehbench.identification.search import VAGUE
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import CORRELATED, Z95
 
+ROUNDING = 1e-9  # share of the reach within which a number is at its bound
+
 
 @dataclass(frozen=True)
 class Error:
@@ -107,8 +109,9 @@ def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
 
 
 def _at_bound(problem: Problem, state: State, i: int) -> bool:
-    inside = i not in state.at_bound and state.theta[i] not in problem.search[i].bounds
-    return not inside or bool(problem.limit_at(state.theta, i))
+    c = problem.search[i]
+    near = any(abs(state.theta[i] - bound) <= ROUNDING * c.reach for bound in c.bounds)
+    return i in state.at_bound or near or bool(problem.limit_at(state.theta, i))
 
 
 def result_of(

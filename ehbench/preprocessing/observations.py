@@ -188,7 +188,7 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
         cause = message("preprocessing.far_off", off=shown, way=way)
         where = message("preprocessing.in_data")
         fields = {"cause": cause, "line": f'{SUPPLY} = "{RECORDED}"', "where": where}
-        notes.append(message("preprocessing.supply_off", time=time, **fields))
+        notes.append(message("preprocessing.supply_off", time=time, weight=0.5, **fields))
     return notes
 
 
@@ -203,14 +203,17 @@ def _levels_off(record: Record, simulated: Record, rig: Rig) -> Iterator[Message
             continue  # it stands at the load's pressure
         known, seen = float(rig.parameters()[name]), float(simulated[channel][0])
         share = SETTINGS.slack if channel == "p_tank" else SETTINGS.supply_off
-        if abs(seen - known) > share * float(rig.supply.pressure):
+        allowed = share * float(rig.supply.pressure)
+        if channel == "p_supply" and np.max(record[channel]) - seen > allowed:
+            continue  # no level of its own: it goes with the load
+        if abs(seen - known) > allowed:
             shown = rig.shown(channel, seen, 3)
             fields = {"name": name, "known": rig.shown(channel, known, 3), "seen": shown}
             cause = message("preprocessing.other_level", **fields)
             key = name.rpartition(".")[2]
             where = message("preprocessing.in_supply", key=key)
             written = {"line": f'{key} = "{shown}"', "where": where}
-            yield message("preprocessing.level_off", cause=cause, **written)
+            yield message("preprocessing.level_off", cause=cause, weight=0.5, **written)
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:

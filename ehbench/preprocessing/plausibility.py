@@ -489,7 +489,8 @@ def _turned(name: str, channel: str, **fields: str) -> Message:
     """A note on a channel whose sign is turned, with the line that puts it right."""
     cause = message(f"preprocessing.{name}", channel=channel, **fields)
     where = message("preprocessing.in_columns", channel=channel)
-    return message("preprocessing.turned", cause=cause, line="sign = -1", where=where)
+    written = {"cause": cause, "where": where, "line": "sign = -1"}
+    return message("preprocessing.turned", weight=0.8, **written)
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

@@ -1,5 +1,6 @@
 """What a stage gives to the report: its figures, its section, and cells of tables."""
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -98,6 +99,13 @@ def remedy_step(remedy: str) -> Message:
     if exchanged := re.match(r"exchange (\S+ and \S+) in the map of columns", remedy):
         return message("steps.exchange", channels=exchanged[1])
     return message("steps.remedy", remedy=remedy)
+
+
+def weight(fields: Mapping[str, Any]) -> float:
+    """How much speaks for what somebody is to write, to a tenth: the share of the residual that it
+    explains, or what stands for it.
+    """
+    return round(fields.get("weight", fields.get("share", math.inf)), 1)
 
 
 def written_step(fields: Mapping[str, Any]) -> Message:

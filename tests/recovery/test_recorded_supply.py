@@ -17,6 +17,7 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
 from ehbench.plant.model import Model
 from ehbench.plant.ties import RECORDED, SUPPLY
+from ehbench.preprocessing.observations import supply_off
 from ehbench.validation import validate_rig
 from tests.shared import RIGS, judged, shipped
 
@@ -154,6 +155,18 @@ def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channe
         assert line.startswith(f'{key} = "') and written(line) == pytest.approx(known, rel=5e-3)
     fitted = identify_hydraulics(other, [("log", record)], [STIFF])
     assert line in [getattr(text, "fields", {}).get("line") for text in fitted.warnings]
+
+
+def test_a_supply_that_rises_with_the_load_has_no_level():
+    """The first reading of a pump that goes with the load is no pressure of the rig file."""
+    machine, model = rig(), Model.of(rig())
+    record = log()
+    low = {"p_supply": 0.2 * record["p_supply"]}
+    rises = {"p_supply": record["p_supply"] * np.linspace(0.2, 0.8, record.t.size)}
+    for given, keys in ((low, ["preprocessing.level_off"]), (rises, [])):
+        seen = replace(record, channels=record.channels | given)
+        notes = supply_off(seen, model.replay(seen), machine)
+        assert [note.key for note in notes if note.key.endswith("level_off")] == keys
 
 
 def written(line: str) -> float:

@@ -52,6 +52,7 @@ def test_a_payload_that_a_log_does_not_name_is_named(name, load):
     [
         (CRANE, ("lift.p_head", "lift.p_rod")),
         ("boom_four_valve", ("boom.sh.command", "boom.sr.command")),
+        ("thesis_arm", ("swing.servo.command", "stick.servo.command")),
     ],
 )
 def test_channels_in_each_others_place_are_named(name, pair):
@@ -60,6 +61,24 @@ def test_channels_in_each_others_place_are_named(name, pair):
     (note,) = notes(name, exchanged(log, *pair))
     assert note.fields["share"] > 0.6
     assert note.fields["remedy"].fields.items() >= dict(zip(("first", "second"), pair)).items()
+
+
+def test_a_turned_motion_is_no_exchange_and_what_cannot_move_no_error():
+    """Where the speed is turned, exchanged commands would explain most of it."""
+    name, log = "boom_four_valve", recorded("boom_four_valve")
+    assert notes(name, replace(log, channels=log.channels | {"boom.qd": -log["boom.qd"]})) == []
+    beyond = {"boom.q": log["boom.q"] + 3.0, "boom.x": log["boom.x"] + 3.0}
+    assert notes(name, replace(log, channels=log.channels | beyond)) == []
+
+
+def test_a_fit_that_exchanged_channels_spoil_is_asked_as_it_began():
+    """With pressures in each other's place a fit ends anywhere; its rig file's numbers tell."""
+    rig = shipped("slide_servo")
+    log = exchanged(recorded("slide_servo"), "press.p_head", "press.p_rod")
+    spoilt = rig.with_values({"bulk_modulus": 5e7, "press.leakage_internal": 4e-9})
+    case = Case("log", log, Model.of(spoilt), commanded(Model.of(rig), log))
+    (note,) = misread(case, replace(case, model=Model.of(rig)))
+    assert note.fields["share"] > 0.9
 
 
 def test_what_a_fit_finds_of_its_logs_weighs_on_the_verdict():

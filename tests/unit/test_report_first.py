@@ -212,7 +212,10 @@ def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folde
 LEAN = {"name": "late.delay", "remedy": 'add "late.delay" to parameters'}
 LEAN |= {"sentence": "late.delay is held at 1 ms, and these logs would have 2.5 ms"}
 MOVED = {"bulk_modulus": 3.0, "boom.joint_damping": 0.5}
-LEAN |= {"moved": [{"name": name, "halves": halves} for name, halves in MOVED.items()]}
+LEAN |= {
+    "explains": 0.4,
+    "moved": [{"name": name, "halves": halves} for name, halves in MOVED.items()],
+}
 
 
 def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from ehbench.identification import estimate as estimating
-from ehbench.identification import journal, results, sensitivity
+from ehbench.identification import journal, results, sensitivity, uncertainty
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
 from ehbench.identification.hydraulics import ranked
@@ -231,10 +231,17 @@ def test_how_far_estimates_would_be_off_by_their_intervals():
     assert second.halves == pytest.approx(1.5)
 
 
+@pytest.mark.parametrize(("off", "stands"), [(0.0, True), (1e-12, True), (1e-6, False)])
+def test_a_number_at_its_bound_but_for_rounding_stands_there(off, stands):
+    asked: Any = Stub(search=[Stub(bounds=(0.0, 2.0), reach=2.0)], limit_at=lambda theta, i: "")
+    state: Any = Stub(at_bound=(), theta=np.array([2.0 - off]))
+    assert uncertainty._at_bound(asked, state, 0) == stands
+
+
 def test_a_denied_number_is_told_with_its_interval():
     moved = (Stub(name="bulk_modulus", there=9e8, here=8e8, halves=2.5),)
     fit: Any = Stub(simulator=Stub(rig=shipped("slide_servo")))
-    row: Any = Stub(parameters=("carriage.mass",), name="load of press")
+    row: Any = Stub(parameters=("carriage.mass",), name="load of press", certainty=3)
     for name, key, value, half in (
         ("carriage.mass", "number_fixed", "27", 1.96 * 20.0),
         ("press.v.lag", "time_fixed", 270.0, 1.96e3 * 0.02),

@@ -22,6 +22,7 @@ from ehbench.report.content import (
     names,
     num,
     remedy_step,
+    weight,
     written_step,
 )
 from ehbench.report.saved import FigureIndex, Saved, Table
@@ -242,12 +243,15 @@ def findings(run: Saved) -> Findings:
     against = [*written, *(item["sentence"] for item in sensitive)] + [residual] * bool(residual)
     against += [page.text("weak", item=item) for item in weak]
     steps = [message(item["key"], **item["fields"]) for item in fit.get("advice", [])]
-    steps += [written_step(note.fields) for note in written]
+    doubts = [(weight(note.fields), written_step(note.fields)) for note in written]
     for item in sensitive:  # what somebody measured seldom is what is wrong
+        share = weight({"share": item["explains"]})
         if residual and getattr(item["sentence"], "fields", {}).get("known"):
-            steps.append(message("steps.suggest_first", **names(run), number=item["name"]))
+            first = message("steps.suggest_first", **names(run), number=item["name"])
+            doubts.append((share, first))
             residual = ""
-        steps.append(remedy_step(item["remedy"]))
+        doubts.append((share, remedy_step(item["remedy"])))
+    steps += [step for _, step in sorted(doubts, key=lambda pair: -pair[0])]
     steps += [message("steps.suggest", **names(run))] * bool(residual)
     first = {item["status"]: item["name"] for item in reversed(weak)}
     for status, parameter in first.items():

@@ -1,6 +1,5 @@
 """Validation: verdict, reasons, checks, and each log's errors, ringing, correlations."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from ehbench.report.content import (
     look_of,
     names,
     remedy_step,
+    weight,
     written_step,
 )
 from ehbench.report.saved import FigureIndex, Saved, Table
@@ -246,7 +246,7 @@ def doubts(table: Table) -> list[Mapping[str, Any]]:
     against = [*table["reasons"], *table.get("reservations", [])]
     every = [getattr(item, "fields", {}) for item in against]
     every = [fields for fields in every if fields.keys() & {"remedy", "where"}]
-    return sorted(every, key=lambda fields: -round(fields.get("share", math.inf), 1))
+    return sorted(every, key=lambda fields: -weight(fields))
 
 
 def left_over(table: Table) -> list[str]:
