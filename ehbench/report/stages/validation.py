@@ -131,12 +131,15 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
         blocks.append(Bullets(left, "warn"))
     if unjudged := silence(table):
         blocks.append(Text(unjudged, "note"))
-    results = {log["name"]: "shown only" for log in table["logs"]}
-    results |= {n["name"]: "passed" if n.get("passed") else "not passed" for n in held_out(table)}
-    results |= {log["name"]: "failed" for log in table["logs"] if log.get("failure")}
-    chips = {
-        name: Cell(result, "bad" if result == "not passed" else look_of(result))
-        for name, result in results.items()
+    chips = {log["name"]: Cell("shown only", look_of("shown only")) for log in table["logs"]}
+    for log in held_out(table):  # a model is rejected by more than its thresholds
+        chips[log["name"]] = (
+            Cell("checks passed", look_of("passed"))
+            if log.get("passed")
+            else Cell("checks failed", "bad")
+        )
+    chips |= {
+        n["name"]: Cell("failed", look_of("failed")) for n in table["logs"] if n.get("failure")
     }
     blocks.append(page.table("logs", table["logs"], results=chips))
     channels = [(log, item) for log in table["logs"] for item in log.get("channels", [])]
