@@ -100,5 +100,6 @@ FAULTS = (
     Fault("force", ("force",), step=0.05, rank=5),
     Fault("force", ("force_extending", "force_retracting"), step=0.05, rank=5),
     Fault("spring", ("stiffness",), step=0.05, rank=5),
+    Fault("spring", ("free_length",), step=0.05, rank=5),
 )
 PAYLOAD = (Fault("payload", ("mass",), step=0.05, rank=4, wide=True),)

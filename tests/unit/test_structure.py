@@ -28,7 +28,7 @@ from ehbench.preprocessing.observations import commanded
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import correlation_time
 from ehbench.validation import validate_rig
-from tests.shared import RIGS, shipped
+from tests.shared import RIGS, shipped, slide
 from tools.studies.structure_study import Fault, asked, faults, log_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
 
@@ -108,6 +108,18 @@ def test_a_number_of_a_friction_law_is_named(law, number):
     name = f"press.{number}"
     wrong = rig.with_values({name: 1.5 * float(rig.parameters()[name])})
     log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0, share=0.3)
+    for model, expected in ((Model.of(rig), []), (Model.of(wrong), [name])):
+        results = ask([Case("log", log, model, commanded(model, log))]).findings
+        assert [item.about for item in results[:1]] == expected, results
+
+
+@pytest.mark.parametrize("number", ["stiffness", "free_length"])
+def test_a_number_of_an_outer_spring_is_named(number):
+    spring = {"kind": "spring", "stiffness": "20 N/mm", "free_length": "150 mm"}
+    rig = slide(force=[spring])
+    name = f"press.force.{number}"
+    wrong = rig.with_values({name: 1.2 * float(rig.parameters()[name])})
+    log = virtual_log("slide_servo", rig, "steps", 5, duration=2.0, share=0.3)
     for model, expected in ((Model.of(rig), []), (Model.of(wrong), [name])):
         results = ask([Case("log", log, model, commanded(model, log))]).findings
         assert [item.about for item in results[:1]] == expected, results
