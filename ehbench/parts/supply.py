@@ -119,6 +119,8 @@ FAULTS = (
     Fault("tank", ("tank_pressure",), "pressure", 0.005, -0.1, 0.1, rank=1, wide=True),
     Fault("pump", ("flow_limit",), step=0.05, rank=5, wide=True),
     Fault("supply line", ("volume",), step=0.1, rank=5, wide=True),
+    Fault("load margin", ("load_margin",), step=0.05, rank=0, wide=True),
+    Fault("load lag", ("load_lag",), step=0.1, rank=0, wide=True),
     Fault(
         "accumulator",
         ("gas_volume", "precharge"),

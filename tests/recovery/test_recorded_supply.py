@@ -157,6 +157,24 @@ def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channe
     assert line in [getattr(text, "fields", {}).get("line") for text in fitted.warnings]
 
 
+@pytest.mark.parametrize(("key", "factor"), [("load_margin", 1.5), ("load_lag", 2.0)])
+def test_a_number_of_load_sensing_is_named(key, factor):
+    sensing = {"load_margin": 2e6, "load_lag": 0.05}
+    machine = rig(load_sensing=written_table(sensing))
+    wrong = rig(load_sensing=written_table(sensing | {key: factor * sensing[key]}))
+    volts = np.where(np.arange(1201) % 600 < 200, 0.0, 4.0)
+    record = simulate(machine, {"press.servo": volts}, 1.2, posture={"press": "80 mm"})
+    for model, about in ((machine, []), (wrong, [f"supply.{key}"])):
+        findings = validate_rig(model, [("log", record)]).structure.findings
+        assert [item.remedy.fields["names"] for item in findings[:1]] == about, findings
+
+
+def written_table(sensing):
+    """Load sensing as a rig file has it, of numbers in SI."""
+    margin, lag = sensing.values()
+    return {"load_margin": f"{margin} Pa", "load_lag": f"{lag} s"}
+
+
 def test_a_supply_that_rises_with_the_load_has_no_level():
     """The first reading of a pump that goes with the load is no pressure of the rig file."""
     machine, model = rig(), Model.of(rig())
