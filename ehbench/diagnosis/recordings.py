@@ -1,5 +1,5 @@
-"""Whether a log was recorded otherwise than it is said to be: with another payload of the rig, or
-with two of its channels exchanged."""
+"""Whether a log's payload and channels are those that its recipe states: it may have been recorded
+with another payload of the rig, or with two channels exchanged."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ from itertools import combinations
 
 import numpy as np
 
-from ehbench.diagnosis.cases import QUIET, Case, counts, total
+from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.plant.foreign import model_of
 from ehbench.preprocessing.observations import payload_of
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import Message, message
 
 NONE = "none"
-Otherwise = tuple[Case, str, dict[str, str]]  # a log recorded otherwise, its message and fields
-CARRIED = 0.5  # share of the residual that another payload must explain
-EXCHANGED = 0.8  # that exchanged channels must
+Otherwise = tuple[Case, str, dict[str, str]]  # a log as it may be, its message and fields
+EXCHANGED = 0.8  # share that an exchange must explain, more than where a sign is turned
 ASTRAY = 0.5  # rms residual, share of the spread, from which channels may be exchanged
 
 
 def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
-    """A note on a log that is followed much better if it was recorded otherwise, with what to
-    write.
+    """A note on a log that is followed much better with another payload, or with two channels
+    exchanged, with what to write.
 
     Args:
         case: the log and its model.
@@ -32,12 +31,14 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
     """
     if case.model.rig.model is not None or not case.channels:
         return
-    spread = sum(y.size * (np.std(y) / case.scales[name]) ** 2 for name, y in case.recorded.items())
+    case = replace(case, refined=False)
     left = _left(case)
+    spread = sum(y.size * (np.std(y) / case.scales[name]) ** 2 for name, y in case.recorded.items())
     astray = left is None or total([left]) > ASTRAY**2 * spread
-    best = _best(case, (*_carrying(case), *(_exchanged(case) if astray else ())))
+    best = _best(case, left, (*_carrying(case), *(_exchanged(case) if astray else ())))
     if best is None and astray and before is not None:
-        best = _best(before, _exchanged(before))
+        before = replace(before, refined=False)
+        best = _best(before, _left(before), _exchanged(before))
     if best is None or not best[1]:
         return
     share, key, fields = best
@@ -47,27 +48,26 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
 
 
 def _left(case: Case) -> np.ndarray | None:
-    """What the model leaves of a log, from where its standstill begins; None where it cannot be
-    simulated.
-    """
+    """What the model leaves of a log; None where it cannot be simulated."""
     try:
-        return case.left(replace(case, refined=False).simulated())
+        return case.left(case.simulated())
     except EhbenchError:
         return None
 
 
-def _best(case: Case, others: Iterable[Otherwise]) -> tuple[float, str, dict[str, str]] | None:
-    """The share of the residual that the best of some explains, if that is most of it, with its
-    message and fields.
+def _best(
+    case: Case, left: np.ndarray | None, others: Iterable[Otherwise]
+) -> tuple[float, str, dict[str, str]] | None:
+    """The share of the residual ``left`` that the best of some explains, if that is most of it,
+    with its message and fields.
     """
-    left, noise = _left(case), case.noise_squares
     if left is None or total([left]) < QUIET * left.size:
         return None
-    now, best = total([left]), None
+    now, noise, best = total([left]), case.noise_squares, None
     for other, key, fields in others:
         rest = _left(other)
         share = 0.0 if rest is None else min(1.0, (now - total([rest])) / (now - noise))
-        if share > (best[0] if best else CARRIED if key == "carried" else EXCHANGED):
+        if share > (best[0] if best else DOMINANT if key == "carried" else EXCHANGED):
             best = (share, key, fields)
     if best is None or not counts(best[0] * (now - noise), now, noise, case.independent(left)):
         return None

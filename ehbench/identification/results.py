@@ -300,7 +300,7 @@ def not_excited(c: Coordinate, samples: int) -> FittedParameter:
 def _misread(
     simulator: Simulator, values: Sequence[float], starts: Sequence[float]
 ) -> Iterator[Message]:
-    """Notes on logs that were recorded otherwise than they are said to be."""
+    """Notes on logs whose payload or channels are not those that the recipe states."""
     now, before = simulator.models(values), simulator.models(starts)
     for log in simulator.logs:
         case = Case(

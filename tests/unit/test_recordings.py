@@ -1,11 +1,13 @@
-"""A log that was recorded otherwise than it is said to be: the note says how, and a sound one has
-none."""
+"""A log whose payload or channels are not those that are stated: the note says which are, and a
+sound log has none."""
 
 from dataclasses import replace
+from types import SimpleNamespace as Stub
 
+import numpy as np
 import pytest
 
-from ehbench.diagnosis import Case, misread
+from ehbench.diagnosis import Case, misread, recordings
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
 from ehbench.validation import speaking_against, validate_rig
@@ -63,12 +65,52 @@ def test_channels_in_each_others_place_are_named(name, pair):
     assert note.fields["remedy"].fields.items() >= dict(zip(("first", "second"), pair)).items()
 
 
-def test_a_turned_motion_is_no_exchange_and_what_cannot_move_no_error():
-    """Where the speed is turned, exchanged commands would explain most of it."""
+def test_a_log_that_cannot_be_simulated_has_no_note():
     name, log = "boom_four_valve", recorded("boom_four_valve")
-    assert notes(name, replace(log, channels=log.channels | {"boom.qd": -log["boom.qd"]})) == []
     beyond = {"boom.q": log["boom.q"] + 3.0, "boom.x": log["boom.x"] + 3.0}
     assert notes(name, replace(log, channels=log.channels | beyond)) == []
+
+
+def test_a_turned_motion_is_tried_beside_exchanged_channels():
+    log = recorded("slide_servo")
+    case = Case("log", log, Model.of(shipped("slide_servo")), ("press",))
+    tried = {key or "turned": other.record for other, key, _ in recordings._exchanged(case)}
+    assert tried["turned"]["press.v"] == pytest.approx(-log["press.v"])
+    assert tried["exchanged"]["press.p_head"] == pytest.approx(log["press.p_rod"])
+
+
+@pytest.mark.parametrize(
+    ("shares", "best"),
+    [
+        ({"carried": 0.49}, None),
+        ({"carried": 0.51}, "carried"),
+        ({"exchanged": 0.79}, None),
+        ({"exchanged": 0.81}, "exchanged"),
+        ({"carried": 0.7, "exchanged": 0.85}, "exchanged"),
+        ({"": 0.95, "exchanged": 0.85}, ""),  # a turned motion, which another note tells
+    ],
+)
+def test_what_explains_most_of_a_residual_is_best(shares, best, monkeypatch):
+    monkeypatch.setattr(recordings, "_left", lambda other: other)
+    left, case = np.full(1000, 10.0), Stub(noise_squares=1000.0, independent=len)
+    others = [(left * np.sqrt(1.0 - 0.99 * share), key, {}) for key, share in shares.items()]
+    found = recordings._best(case, left, others)  # pyright: ignore[reportArgumentType]
+    assert (found and found[1]) == best
+    assert not found or found[0] == pytest.approx(max(shares.values()))
+
+
+@pytest.mark.parametrize(("share", "asked"), [(0.45, False), (0.55, True)])
+def test_channels_are_exchanged_where_half_the_spread_is_left(share, asked, monkeypatch):
+    log = recorded("slide_servo")
+    case = Case("log", log, Model.of(shipped("slide_servo")), ("press",))
+    spread = np.concatenate([(y - y.mean()) / case.scales[n] for n, y in case.recorded.items()])
+    turned = replace(case, name="turned")
+    monkeypatch.setattr(recordings, "_left", lambda at: spread * (at is not turned) * share)
+    monkeypatch.setattr(recordings, "_carrying", lambda at: ())
+    for key, told in (("", False), ("exchanged", asked)):
+        other = (turned, key, dict.fromkeys(("first", "second"), key))
+        monkeypatch.setattr(recordings, "_exchanged", lambda at, other=other: (other,))
+        assert bool(list(misread(case))) == told
 
 
 def test_a_fit_that_exchanged_channels_spoil_is_asked_as_it_began():
