@@ -10,7 +10,9 @@ import pytest
 from ehbench.diagnosis import Case, misread, recordings
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
+from ehbench.report.stages.validation import doubts
 from ehbench.validation import speaking_against, validate_rig
+from ehbench.vocabulary.messages import Message
 from tests.shared import identify, shipped
 from tools.virtual_logs import virtual_log
 
@@ -138,3 +140,12 @@ def test_what_a_fit_finds_of_its_logs_weighs_on_the_verdict():
             ["b"] if written == "none" else []
         )
     assert verdicts == {"100 kg": "accepted", "none": "rejected"}
+
+
+def test_steps_come_in_the_order_of_what_speaks_for_them():
+    """A turned sign stands for 80 % of a residual, a supply that is off for half of it."""
+    given = {"supply": {"weight": 0.5}, "turned": {"weight": 0.8}}
+    given |= {"exchanged": {"share": 0.87}, "cause": {"share": 0.55}, "fixed": {"share": 0.3}}
+    texts = [Message("", "", {"remedy": name} | more) for name, more in given.items()]
+    order = [item["remedy"] for item in doubts({"reasons": texts[:2], "reservations": texts[2:]})]
+    assert order == ["exchanged", "turned", "cause", "supply", "fixed"]
