@@ -112,7 +112,9 @@ class FaultyMachine:
         self._machine, self._faults, self._rig = machine, faults, rig
         self.name, self.channels, self.commands = machine.name, machine.channels, machine.commands
         self.strokes, self.rate, self.latency = machine.strokes, machine.rate, machine.latency
-        self.hidden = TrueStrokes(len(self.strokes))
+        # a machine whose sensors have noise knows its strokes; another's are those of its samples
+        self._sampled = TrueStrokes(len(self.strokes))
+        self.hidden = getattr(machine, "hidden", self._sampled)
         self._failures: list[Failure] = []
         names = {"sensor": self.channels, "valve": self.commands.names, "machine": ("",)}
         for fault, where in faults:
@@ -206,8 +208,8 @@ class FaultyMachine:
         return [item for item in self._failures if KINDS[item.fault.kind].place == place]
 
     def _sensed(self, sample: np.ndarray) -> np.ndarray:
-        """What the sensors say of a sample, which the machine's strokes are taken from."""
-        self.hidden.take(sample)
+        """What the sensors say of a sample."""
+        self._sampled.take(sample)
         t, shown = self._tick / self.rate, sample.copy()
         for failure in self._of("sensor"):
             i, value = failure.index, float(shown[failure.index])

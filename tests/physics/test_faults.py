@@ -63,6 +63,15 @@ def test_a_fault_stops_the_trial_for_its_reason(
     np.testing.assert_array_equal(commands[-1], 0.0)
 
 
+def test_the_true_strokes_are_those_without_the_noise_of_the_sensors(tmp_path):
+    late = {"kind": "offset", "target": "boom.x", "value": "1 mm", "start": "1000 s"}
+    errors = []
+    for faults in ([], [late]):
+        result = run(prepared(*faults, on="bench"), log=tmp_path / f"{len(faults)}.mcap")
+        errors.append(result.facts.measures["tracking_true"]["max_error"])
+    assert errors[0] == errors[1]
+
+
 class Probe:
     """A machine that keeps what it was sent, and gives what a test makes of its samples."""
 
