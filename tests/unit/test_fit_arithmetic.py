@@ -18,6 +18,7 @@ from ehbench.identification import (
     means,
     results,
     sensitivity,
+    simulator,
 )
 from ehbench.identification.band import Band
 from ehbench.identification.covariance import Block
@@ -1115,3 +1116,59 @@ def test_of_faint_parameters_those_that_nothing_denies_are_dropped():
     assert found.ranges == {2: (-0.5, 0.5), 3: (-0.5, 0.5)}
     assert found.theta.tolist() == [0.25, 0.25, 0.0, 0.0]
     assert seen[0] == pytest.approx(np.unique([*np.linspace(-1.0, 1.0, 13), 0.25]))
+
+
+# --- which samples count, and which logs move
+
+SLIDE = shipped("slide_servo")
+
+
+def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
+    """Nor does what comes just before they are seen; another cylinder's channels do."""
+    tick, limit = 0.01, simulator.SETTINGS.empty * float(SLIDE.oil.cavitation_pressure)
+    high = np.full(600, 1e6)
+    empty = high.copy()
+    empty[100] = 1.1 * limit  # gauge pressures: below it
+    command = np.where(np.arange(600) < 300, 2.0, 6.0)
+    channels = ["press.p_head", "press.x"]
+    record = Record(
+        np.arange(600) * tick,
+        {"press.p_head": empty, "press.p_rod": high, "press.x": np.full(600, 0.1),
+         "press.servo.command": command},
+    )  # fmt: skip
+    ahead = round(simulator.SETTINGS.emptying / tick)
+    counts, (note,) = simulator._counts("log", SLIDE, record, channels)
+    void = np.zeros(600, bool)
+    void[100 - ahead : 300 + ahead] = True
+    for column in counts.T:
+        np.testing.assert_array_equal(~column, void)
+    assert note.fields["t"] == pytest.approx((100 - ahead) * tick)
+    assert note.fields["share"] == pytest.approx(100.0 * void.mean())
+    full = record.channels | {"press.p_head": np.full(600, 0.9 * limit)}
+    counts, notes = simulator._counts("log", SLIDE, Record(record.t, full), channels)
+    assert counts.all() and not notes
+
+
+@pytest.mark.parametrize(("share", "moves"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("name", ["slide_servo", "thesis_arm"])
+def test_a_cylinder_moves_whose_position_changes_by_a_share_of_its_stroke(name, share, moves):
+    """Of a joint, by that share of a radian."""
+    rig = shipped(name)
+    cylinder = rig.cylinder[0]
+    change = share * simulator.SETTINGS.moves
+    for word, span in (("x", float(cylinder.stroke)), ("q", 1.0)):
+        if word == "q" and cylinder.linkage is None:
+            continue
+        at = np.linspace(0.1, 0.1 + change * span, 50)
+        record = Record(np.arange(50) * TICK, {f"{cylinder.name}.{word}": at})
+        assert simulator._moves(cylinder, record) is moves
+
+
+def test_a_fit_whose_valves_all_stay_shut_says_so_of_its_first_log():
+    t = np.arange(300) * TICK
+    quiet = {"press.servo.command": np.full(300, 1e-3), "press.x": np.full(300, 0.1)}
+    quiet |= {"press.p_head": np.full(300, 1e6), "press.p_rod": np.full(300, 1e6)}
+    logs = [(name, Record(t, dict(quiet))) for name in ("first", "second")]
+    with pytest.raises(InsufficientData) as refusal:
+        hydraulics.prepare_fit(SLIDE, logs, ["bulk_modulus"])
+    assert "first" in str(refusal.value) and "second" not in str(refusal.value)

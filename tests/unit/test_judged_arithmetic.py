@@ -11,8 +11,10 @@ import pytest
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import Estimate, Response
 from ehbench.plant.model import Model
+from ehbench.plant.ties import TIED
 from ehbench.preprocessing.observations import least_change
-from ehbench.validation import baseline, held_out, sweeps
+from ehbench.preprocessing.preparation import PreparedLog
+from ehbench.validation import baseline, held_out, judge, sweeps
 from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.validation.results import BlackBox, ChannelResult, LogResult, Ring
 from ehbench.validation.transients import steps_only, transients_of, why_not_judged
@@ -273,3 +275,45 @@ def test_a_shift_is_what_half_of_the_rows_agree_on(agreeing, late):
     found = held_out._shift(when, y[:, None], t, y[:, None], np.full(1, 1e-6))
     assert found == pytest.approx(late)
     assert held_out._shift(when, y[:, None] + 0.5, t, y[:, None], np.full(1, 1e-6)) == 0.0
+
+
+# --- which logs count, and by what
+
+
+@pytest.mark.parametrize(
+    ("fitted", "overlap", "moved", "keys"),
+    [
+        (False, (), ["press"], []),
+        (True, (), ["press"], ["fitted"]),
+        (True, (Stub(start=1.0, stop=2.5, log="a"),), ["press"], ["samples_fitted"]),
+        (False, (), [], ["no_motion"]),
+        (True, (), [], ["fitted", "no_motion"]),
+    ],
+)
+def test_a_log_counts_that_moves_and_was_not_fitted(fitted, overlap, moved, keys):
+    log: Any = Stub(fitted=fitted, overlap=overlap)
+    notes: list[Any] = list(judge._not_counted(log, moved))
+    assert [note.key for note in notes] == [f"validation.{key}" for key in keys]
+    if overlap:
+        assert notes[0].fields["spans"] == "1 … 2.5 s (of a)"
+
+
+@pytest.mark.parametrize(
+    ("tied", "judged"),
+    [("", ["press.x", "press.v", "press.p_head"]), ("position", ["press.v", "press.p_head"])],
+)
+def test_what_is_tied_to_the_recording_is_not_judged(tied, judged):
+    record = Record(np.arange(9) * TICK, {"press.x": np.zeros(9)})
+    if tied:
+        record = replace(record, meta={TIED: tied})
+    channels = ["press.x", "press.v", "press.p_head"]
+    assert judge._free(MODEL, record, channels) == judged
+
+
+@pytest.mark.parametrize(
+    ("scored", "samples"), [(None, range(9)), ((0.002, 0.004), range(2, 5)), ((0.0, 0.0), [0])]
+)
+def test_what_is_scored_of_a_log_has_both_its_ends(scored, samples):
+    record = Record(np.arange(9) * TICK, {"press.x": np.arange(9.0)})
+    log = judge.JudgedLog(PreparedLog("log", record, MODEL), scored=scored)
+    assert log.counted["press.x"].tolist() == list(samples)
