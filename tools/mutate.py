@@ -1,7 +1,6 @@
 """Whether tests notice wrong code: one change each of cosmic-ray's, drawn at random, in a copy of
-the tree, and the share that the quick tests kill in files that import these packages or run
-recipes. A line that only others run, or none, lets its mutants survive; one that hangs is killed,
-and named.
+the tree, and the share that the quick tests kill. A line that only others run, or none, lets its
+mutants survive; one that hangs is killed, and named.
 
 python -m tools.mutate [MUTANTS] [MINUTES] [SEED]
 """
@@ -203,15 +202,8 @@ class Runs:
             (SEEN / "settings").write_text("\n".join(settings), encoding="utf-8")
             words = ["--cov", f"--cov-config={SEEN / 'settings'}", "--cov-context=test"]
             words += ["--cov-report=", "--durations=0", "--durations-min=0.001", "-rfE"]
-            uses = re.compile(rf"\behbench\.({'|'.join(PACKAGES)})\b|\bworkflow\b")
-            every = sorted(folder.glob("tests/*/test_*.py"))
-            files = [
-                str(path.relative_to(folder))
-                for path in every
-                if uses.search(path.read_text("utf-8"))
-            ]
             cores = ["-n", str(os.cpu_count()), "--dist", "worksteal"]
-            said.write_text(pytest(folder, [*words, *cores, *files], None)[1], encoding="utf-8")
+            said.write_text(pytest(folder, [*words, *cores], None)[1], encoding="utf-8")
         text = said.read_text(encoding="utf-8")
         self.broken = set(re.findall(r"^(?:FAILED|ERROR) (\S+)", text, re.MULTILINE))
         self.seconds: defaultdict[str, float] = defaultdict(float)
