@@ -162,12 +162,15 @@ def step(
     gradient = np.sum([item.gradient for item in solved], axis=0) + prior.gradient
     theta, move = state.theta.copy(), np.zeros(len(free))
     if free:
-        for _ in range(2):
+        for _ in range(3):
             move = bounded_step(normal, gradient, damping, *(bounds - state.theta[free][:, None]).T)
             theta[free] = np.clip(state.theta[free] + move, *bounds.T)
             if not problem.simulator.misfit(problem.values(theta)):
                 break
-            bounds = problem.room(state.theta, free)  # one parameter limits another
+            # one parameter limits another: how far each may go of the way that it would
+            way = np.sort([state.theta[free], theta[free]], axis=0).T
+            room = problem.room(state.theta, free, way)
+            bounds = np.where(room == way, bounds, room)
     shifts, gain = [], -float(2.0 * gradient @ move + move @ normal @ move)
     for shift, item, block in zip(state.shifts, solved, blocks, strict=True):
         shifts.append(shift + item.move - item.gain @ move)

@@ -149,14 +149,19 @@ class Problem:
         """Bounds in search coordinates, shape (parameters, 2)."""
         return np.array([self.search[i].bounds for i in which]).reshape(-1, 2)
 
-    def room(self, theta: np.ndarray, which: Sequence[int]) -> np.ndarray:
+    def room(
+        self, theta: np.ndarray, which: Sequence[int], within: np.ndarray | None = None
+    ) -> np.ndarray:
         """Bounds between which each parameter may move by itself from a point: those that are its
         own, or where another one limits it; shape (parameters, 2).
+
+        Args:
+            within: to look no farther than there, shape (parameters, 2); its own bounds by default.
         """
-        ends = self.bounds(which)
+        ends = self.bounds(which) if within is None else within.copy()
         for i, row in zip(which, ends, strict=True):
             for side, end in enumerate(row):
-                if not self.limit(theta, i, end):
+                if end == theta[i] or not self.limit(theta, i, end):
                     continue
                 inner, outer = theta[i], end
                 while abs(outer - inner) > SETTINGS.difference:

@@ -407,15 +407,15 @@ class Rig(FileModel):
             new.setdefault(prefix + dot, {})[key] = number
         rig = self
         for prefix, place, part in self.parts():
-            update = new.get(prefix, {})
+            if prefix not in new:
+                continue
             if isinstance(part, DynamicsTable):
-                changed = part.with_values(update)
-            else:
-                fields = type(part).model_fields
-                update = {key: value for key, value in update.items() if key in fields}
-                changed = part.model_copy(update=update) if update else part
-            if changed is not part:
-                rig = _with_part(rig, place, changed)
+                rig = _with_part(rig, place, part.with_values(new[prefix]))
+                continue
+            fields = type(part).model_fields
+            update = {key: value for key, value in new[prefix].items() if key in fields}
+            if update:
+                rig = _with_part(rig, place, part.model_copy(update=update))
         return rig
 
     def refuse_misfits(self) -> None:
