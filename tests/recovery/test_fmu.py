@@ -248,7 +248,7 @@ def test_a_trial_needs_no_sensor_of_speed(place, tmp_path):
 )
 def test_what_cannot_run_is_refused(fault, change, key, place, tmp_path, monkeypatch):
     if fault == "HANG":
-        monkeypatch.setattr(fmu, "FMU", replace(fmu.FMU, wait=2.0))
+        monkeypatch.setattr(fmu, "FMU", replace(fmu.FMU, wait=0.5))
     if fault == "windows":
         press_fmu(tmp_path / "press.fmu", platform="win64")
     elif fault == "broken":
