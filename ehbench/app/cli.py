@@ -191,7 +191,7 @@ def check_file(
     from ehbench.app import inspection
 
     result = inspection.check(file, verbose=verbose)
-    if verbose:
+    if verbose and not as_json:
         print("\n".join(result.lines))
     else:
         _say(result.answer(file), Says(None, as_json))
@@ -728,7 +728,8 @@ def main() -> None:
             print(*first, *notes, sep="\n", end="\n" if first or notes else "", file=sys.stderr)
             sys.exit(128 + requested)
         if isinstance(error, EhbenchError):
-            print(f"error: {error}", *notes, sep="\n", file=sys.stderr)
+            lines = [f"error: {item}" for item in (error, *error.others)]
+            print(*lines, *notes, sep="\n", file=sys.stderr)
             sys.exit(error.exit_code)
         if isinstance(error, OSError) and error.errno in _OUTSIDE:
             where = f"{shortened_path(error.filename)}: " if error.filename else ""

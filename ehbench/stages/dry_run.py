@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import Self
 
-from ehbench.config.recipe import Recipe, load_recipe
+from ehbench.config.recipe import DataFile, Recipe, load_recipe
 from ehbench.runs import rundir
 from ehbench.stages.base import Prepared, Stage, stage_of
 from ehbench.stages.inputs import Inputs
@@ -50,6 +50,10 @@ class DryRun:
         with notes.collected():
             prepared = stage.prepare(recipe, self.inputs(notes))
             notes.does = prepared.does
+        if prepared is None:
+            entries = [e for e in getattr(recipe, "data", ()) if isinstance(e, DataFile)]
+            with notes.collected():
+                self.inputs(notes).try_files(entries)
         self._walk.pop()
         if isinstance(stage, Stage):
             notes.writes = f"{self._place(notes, prepared, stage)}: {stage.writes}"

@@ -26,7 +26,7 @@ from ehbench.config.recipe import (
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.runs import rundir
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import InputError, nearest
+from ehbench.vocabulary.errors import EhbenchError, InputError, gathered, nearest, raise_all
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
 
@@ -218,9 +218,14 @@ class Inputs:
         from ehbench.preprocessing.preparation import distinct_names
         from ehbench.preprocessing.time_base import parts_of
 
-        available = []
+        present, available, errors = [], [], list[EhbenchError]()
         for index, item in enumerate(data):
-            place = self.run_folder(self.existing(item.path))
+            with gathered(errors):
+                present.append((index, item, self.existing(item.path)))
+        if not self.notes.dry_run:
+            raise_all(errors)  # before a recipe is run
+        for index, item, path in present:
+            place = self.run_folder(path)
             if place is None:
                 self.notes.add("undecided", message("stages.log_not_run", name=item.path))
             else:
@@ -230,31 +235,50 @@ class Inputs:
         files: list[tuple[str, Path]] = []
         maps: list[tuple[str, Path]] = []
         for (index, item, place), name in zip(available, names, strict=True):
-            path = place / "log.mcap" if (place / "log.mcap").is_file() else place
-            whole, others = self._read(item, index, path, path is not place, maps, rig)
-            record = self._taken(whole, item, index, path)
-            scored = getattr(item, "scored", None)
-            parts, texts = parts_of(name, record, driven=driven, within=scored)
-            losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
-            every = [*whole.losses, *texts]
-            told = recovered(name, every)
-            remarks += told
-            details += [f"{name}: {note}" for note in every if note not in [*lost(every), *told]]
-            records += [(part.name, part.record) for part in parts]
-            inputs += [("log", path)] * len(parts)
-            entries += [index] * len(parts)
-            files += [("log", path), *(("log", other.path) for other in others)]
-            text = message(
-                "stages.reads_log",
-                names=" and ".join([item.path, *(other.path for other in item.beside)]),
-                seconds=float(np.ptp(record.t)),
-                payload=record.meta.get("payload") or "not stated",
-            )
-            self.notes.add("reads", text, *(note for note in told if note.key == OVERRULED))
+            with gathered(errors):
+                path = place / "log.mcap" if (place / "log.mcap").is_file() else place
+                whole, others = self._read(item, index, path, path is not place, maps, rig)
+                record = self._taken(whole, item, index, path)
+                scored = getattr(item, "scored", None)
+                parts, texts = parts_of(name, record, driven=driven, within=scored)
+                losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
+                every = [*whole.losses, *texts]
+                told = recovered(name, every)
+                remarks += told
+                details += [
+                    f"{name}: {note}" for note in every if note not in [*lost(every), *told]
+                ]
+                records += [(part.name, part.record) for part in parts]
+                inputs += [("log", path)] * len(parts)
+                entries += [index] * len(parts)
+                files += [("log", path), *(("log", other.path) for other in others)]
+                text = message(
+                    "stages.reads_log",
+                    names=" and ".join([item.path, *(other.path for other in item.beside)]),
+                    seconds=float(np.ptp(record.t)),
+                    payload=record.meta.get("payload") or "not stated",
+                )
+                self.notes.add("reads", text, *(note for note in told if note.key == OVERRULED))
+        raise_all(errors)
         self.notes.add("losses", *(f"lost: {loss}" for loss in losses))
         self.notes.add("remarks", *(text for text in remarks if text not in self.notes.reads))
         places = (*files, *maps)
         return Logs(records, tuple(inputs), losses, remarks, details, entries, places)
+
+    def try_files(self, data: Sequence[DataFile]) -> None:
+        """Read the files of some entries, for the errors of those that cannot be read: what is left
+        to check where there is no rig.
+
+        Raises:
+            InputError: one is not there, or cannot be read; with those of the others.
+        """
+        errors: list[EhbenchError] = []
+        for index, item in enumerate(data):
+            with gathered(errors):
+                path = self.existing(item.path)
+                if path.suffix != ".toml" and not path.is_dir():
+                    self._read(item, index, path, False, [], None)
+        raise_all(errors)
 
     def _read(
         self,
@@ -263,7 +287,7 @@ class Inputs:
         path: Path,
         is_run: bool,
         maps: list[tuple[str, Path]],
-        rig: Rig,
+        rig: Rig | None,
     ) -> tuple[Record, list[AdditionalFile]]:
         """(the record of an entry, its additional files); maps of columns go into ``maps``."""
         from ehbench.data import read
@@ -271,14 +295,15 @@ class Inputs:
         from ehbench.preprocessing.plausibility import travels
 
         columns = None if is_run else self.columns(item, index)
-        columns = columns and replace(columns, travels=travels(rig))
+        ways = {} if rig is None else travels(rig)
+        columns = columns and replace(columns, travels=ways)
         others = []
         for number, other in enumerate(item.beside):
             place = ("data", index, "beside", number, "columns")
             whole = None
             if other.columns is not None:
                 whole = whole_map(other.columns, self.recipe.path, place)
-                whole = replace(whole, travels=travels(rig))
+                whole = replace(whole, travels=ways)
             shift = None if other.shift is None else float(other.shift)
             shared = other.clock == "shared"
             others.append(AdditionalFile(self.existing(other.path), whole, shift, shared))

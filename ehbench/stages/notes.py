@@ -61,12 +61,15 @@ class Notes:
             self.add_error(error)
 
     def add_error(self, error: EhbenchError) -> None:
-        """Add an error, once; one without a place gets its line of this recipe."""
+        """Add an error and those with it, once; without a place it gets its line of this recipe."""
+        others = error.others
         if error.file is None or (error.line is None and error.file == str(self.recipe.path)):
             line = line_naming(self.recipe.path, error.message)
             error = type(error)(error.message, file=self.recipe.path, line=line, hint=error.hint)
         if str(error) not in map(str, self.errors):
             self.errors.append(error)
+        for other in others:
+            self.add_error(other)
 
     def refuse(self, error: EhbenchError, remark: str) -> None:
         """A run stops with ``error``; a dry run notes it and goes on: the user may insist."""

@@ -1,6 +1,6 @@
 """The error tree. Every error a user can cause says what, where and what would be right."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,7 +16,8 @@ class EhbenchError(Exception):
 
     The message is one sentence; ``file`` and ``line`` say where, ``hint`` what would be right, by
     default that of the catalogue. ``key`` and ``fields`` are those of a message of the catalogue.
-    ``exit_code`` is what the command line returns.
+    ``others`` are the mistakes that were seen with it. ``exit_code`` is what the command line
+    returns.
     """
 
     exit_code = 2
@@ -37,6 +38,7 @@ class EhbenchError(Exception):
         self.file = None if file is None else one_line(str(file))
         self.line = line
         self.hint = None if hint is None else one_line(hint)
+        self.others: tuple[EhbenchError, ...] = ()
         super().__init__(str(self))
 
     def __str__(self) -> str:
@@ -58,6 +60,22 @@ def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:
     except InputError as error:
         text = f"{about}: {error.message}" if about else error.message
         raise type(error)(text, **where, hint=error.hint) from None
+
+
+@contextmanager
+def gathered(errors: list[EhbenchError]) -> Iterator[None]:
+    """A block whose error is put into a list; what comes after the block goes on."""
+    try:
+        yield
+    except EhbenchError as error:
+        errors += [error, *error.others]
+
+
+def raise_all(errors: Sequence[EhbenchError]) -> None:
+    """Raise the first of some errors with the others; nothing where there are none."""
+    if errors:
+        errors[0].others = tuple(errors[1:])
+        raise errors[0]
 
 
 def nearest(

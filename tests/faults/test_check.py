@@ -1,6 +1,9 @@
 """`ehbench check` on recipes: every mistake that files show, with its place, nothing run."""
 
+import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -284,3 +287,38 @@ def test_edges_without_their_maps_leave_the_rest_to_be_checked(recipes, level, i
     assert "'off_gain'" in str(inspection.check(path).errors[0])
     path.write_text(head + 'levels = ["50 mm/s"]\nduration = "9 s"\n' + law)
     assert "leaves the stroke" in str(inspection.check(path).errors[0])
+
+
+def test_all_mistakes_of_a_rig_file_and_of_logs_are_shown_at_once(recipes):
+    """A list whose entries are wrong, and a key that is misspelt, are no second mistake."""
+    rig = changed(
+        recipes, "rigs/slide_servo.toml", 'bore = { value = "50 mm"', 'bore = { value = "50 kg"'
+    )
+    changed(recipes, "rigs/slide_servo.toml", "stroke =", "strokes =")
+    fit = changed(
+        recipes, "slide_servo/hydraulics.toml", "data = [", 'data = ["nothing.mcap", "empty.csv",'
+    )
+    (fit.parent / "empty.csv").write_text("a,b\n")
+    errors = inspection.check(fit).errors
+    assert [Path(str(error.file)).name for error in errors] == [rig.name] * 2 + [
+        fit.name,
+        "empty.csv",
+    ]
+    assert {error.key for error in errors} >= {"config.unknown_key", "stages.no_file"}
+    with pytest.raises(InputError) as refusal:  # a run begins with none of them
+        workflow.run(fit)
+    assert [str(error) for error in (refusal.value, *refusal.value.others)] == [
+        *map(str, errors[:2])
+    ]
+    shutil.copy(ROOT / "recipes" / "rigs" / rig.name, rig)
+    with pytest.raises(InputError) as refusal:
+        workflow.run(fit)
+    assert not refusal.value.others and "nothing.mcap" in str(refusal.value)
+
+
+def test_the_lines_of_a_check_are_json_alone(recipes):
+    done = subprocess.run(
+        [sys.executable, "-m", "ehbench", "check", "-v", "--json", str(recipes / FIT)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["code"] == done.returncode == 0

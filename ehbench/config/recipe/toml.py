@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
@@ -10,7 +11,7 @@ from typing import Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from ehbench.runtime.disk import read_bytes
-from ehbench.vocabulary.errors import InputError, nearest
+from ehbench.vocabulary.errors import InputError, nearest, raise_all
 from ehbench.vocabulary.fields import FROM_FILE, FileModel
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import shortened
@@ -163,18 +164,39 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
     """A table of a file as the model it has to be.
 
     Raises:
-        InputError: with file, line, key, value and the nearest valid key.
+        InputError: with file, line, key, value and the nearest valid key; an unknown key first, and
+            the other mistakes with it.
     """
+    errors: dict[Any, InputError] = {}  # by place: each kind that a table may be has its own
     try:
         try:
             return TypeAdapter(model).validate_python(table, context=FROM_FILE)
         except ValidationError as error:
-            result = error.errors()
-        first = next((e for e in result if e["type"] == "extra_forbidden"), result[0])
-        explained, location, hint = _explained(model, table, dict(first))
+            mistakes = _causes(error.errors())
+        for mistake in mistakes:
+            explained, location, hint = _explained(model, table, dict(mistake))
+            line = line_of(text, location)
+            place = (*location, explained if mistake["type"] == "missing" else "")
+            errors.setdefault(place, InputError(explained, file=path, line=line, hint=hint))
     except RecursionError:
         raise InputError(message("config.table_nested"), file=path) from None
-    raise InputError(explained, file=path, line=line_of(text, location), hint=hint)
+    raise_all([*errors.values()])
+
+
+def _causes(mistakes: Sequence[Any]) -> list[Any]:
+    """Those of pydantic's errors that follow from no other, unknown keys first: a list whose
+    entries are wrong is also too short, a key that is misspelt is missing.
+    """
+    unknown = [item for item in mistakes if item["type"] == "extra_forbidden"]
+    follow = {item["loc"][:size] for item in mistakes for size in range(1, len(item["loc"]))}
+    tables = {item["loc"][:-1] for item in unknown}
+    others = [
+        item
+        for item in mistakes
+        if item["loc"] not in follow
+        and not (item["type"] == "missing" and item["loc"][:-1] in tables)
+    ]
+    return [*unknown, *(item for item in others if item not in unknown)]
 
 
 def _explained(
