@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.ledger import Accuracy, bounds, ledger_of_log, ledger_of_model
-from ehbench.runtime.cores import cores
+from ehbench.plant.many import map_threads
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, Facts, Result, run
 from ehbench.vocabulary.errors import EhbenchError, InsufficientData, SimulationError
@@ -189,8 +189,7 @@ def run_cases(
     workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Account]:
-    """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the
-    order of ``cases``.
+    """Run trials on threads; results in the order of ``cases``.
 
     Args:
         cases: what to run.
@@ -200,33 +199,18 @@ def run_cases(
         progress: told which case is done and the share done.
 
     Raises:
-        EhbenchError: the first case that fails; the rest is given up.
+        EhbenchError: a case fails; those that have not begun are given up.
     """
-
-    names = file_names(cases)
+    names, done = file_names(cases), count(1)
 
     def run_case(index: int) -> Account:
         log = None if logs is None else logs / f"{names[index]}.mcap"
-        return cases[index].run(prepared[index], log)
+        result = cases[index].run(prepared[index], log)
+        if progress is not None:
+            progress(cases[index].name, next(done) / len(cases))
+        return result
 
-    with ThreadPoolExecutor(workers or cores()) as pool:
-        jobs = [pool.submit(run_case, index) for index in range(len(cases))]
-
-        def report(name: str) -> None:
-            if progress is not None:
-                progress(name, sum(job.done() for job in jobs) / len(jobs))
-
-        for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(lambda _, name=case.name: report(name))
-        wait(jobs, return_when=FIRST_EXCEPTION)
-        failed = [
-            job
-            for job in jobs
-            if job.done() and not job.cancelled() and job.exception() is not None
-        ]
-        if failed:
-            pool.shutdown(cancel_futures=True)
-        return [job.result() for job in (failed or jobs)]
+    return map_threads(run_case, range(len(cases)), workers)
 
 
 def file_names(cases: Sequence[Case]) -> list[str]:
