@@ -91,11 +91,8 @@ KINDS: dict[str, Kind] = {
     "stuck_open": Kind("valve", lambda f, t, value: f.size),
     "stuck_closed": Kind("valve", lambda f, t, value: f.rest),
     "slow": Kind("valve", lambda f, t, value: f.last + f.share * (value - f.last)),
-    "supply_lost": Kind("machine"),
-    "link_delayed": Kind("machine"),
-    "link_lost": Kind("machine"),
-    "link_reordered": Kind("machine"),
-    "controller_late": Kind("machine"),
+    **dict.fromkeys(("supply_lost", "link_delayed", "link_lost"), Kind("machine")),
+    **dict.fromkeys(("link_reordered", "controller_late"), Kind("machine")),
 }
 WATCHDOG = 0.02  # [s] without a command after which a target lets its valves go to rest
 
