@@ -247,7 +247,7 @@ def together(rig: Rig, repeats: int = 5) -> Iterator[Row]:
     recipe = load_recipe(RECIPES / "trials" / "tip_line.toml")
     if not isinstance(recipe, TrialSetRecipe):
         raise AssertionError("tip_line.toml is no set of trials")
-    item = recipe.cases()[0][2].model_copy(update={"on": "model", "bench": None})
+    item = recipe.cases()[0].model_copy(update={"on": "model", "bench": None})
     _, facts = run_trial(rig, item)
     if facts.stopped:
         raise AssertionError(f"{recipe.name}: {facts.stopped}")
@@ -648,7 +648,7 @@ def _three_at_once() -> TrialRecipe:
     recipe = load_recipe(RECIPES / "trials" / "disturbed_boom.toml")
     if not isinstance(recipe, TrialSetRecipe):
         raise AssertionError("disturbed_boom.toml is no set of trials")
-    moving = next(item for _, _, item in recipe.cases() if item.motion and item.motion.also)
+    moving = next(item for item in recipe.cases() if item.motion and item.motion.also)
     return moving.model_copy(update={"duration": Value(TRIAL), "on": "model", "bench": None})
 
 

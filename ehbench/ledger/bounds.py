@@ -151,8 +151,8 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     if ledger is not None and (function := function_of(record, cylinder)) is not None:
         against = _against(function, "seventh" in paid)
         price = (pressure * prices[against][0], pressure * prices[against][1])
-        work = _Work(rig, record, item, x, function)
-        beyond = _beyond(work, price, ways, ledger.functions[cylinder])
+        drawn = ledger.functions[cylinder]
+        beyond = _beyond(rig, record, item, x, function, price, ways, drawn)
     return Bounds(
         cylinder=cylinder,
         travel_out=ways[0],
@@ -231,24 +231,17 @@ class _Load(NamedTuple):
         return prices
 
 
-class _Work(NamedTuple):
-    """A cylinder's motion under a controller: its stroke and the working function of each tick."""
-
-    rig: Rig
-    record: Record
-    item: Cylinder
-    x: np.ndarray
-    function: np.ndarray
-
-
 def _beyond(
-    built: _Work,
+    rig: Rig,
+    record: Record,
+    item: Cylinder,
+    x: np.ndarray,
+    function: np.ndarray,
     price: tuple[float, float],
     ways: tuple[float, float],
     drawn: dict[str, dict[str, float]],
 ) -> tuple[Beyond, ...]:
     """What each function drew against its share of ``ways`` [m] at ``price`` [J/m]."""
-    rig, record, item, x, function = built
     squeezed = _squeezed(rig, record, item, x)
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]

@@ -244,7 +244,7 @@ def ledger_of_log(
     result = Measured(model, load, readings, states, flows, power, base)
     std, sources = np.zeros_like(base), {}
     if accuracy is not None:
-        effects, more = _effects(rig, maps, account, result, accuracy)
+        effects, more = _effects(rig, maps, account, result)
         notes += more
         std = np.sqrt(sum(effect**2 for effect in effects.values()))
         sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
@@ -257,11 +257,11 @@ def ledger_of_log(
 
 
 def _effects(
-    rig: Rig, maps: Maps | None, account: Account, result: Measured, accuracy: Accuracy
+    rig: Rig, maps: Maps | None, account: Account, result: Measured
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """(effect of one standard error of each source on the energies [J], assumptions)."""
     model, readings, states = result.model, result.readings, result.states
-    flows, power, base = result.flows, result.power, result.energies
+    flows, power, base, accuracy = result.flows, result.power, result.energies, account.accuracy
     effects: dict[str, np.ndarray] = {}
     lags: dict[str, np.ndarray] = {}
 

@@ -56,6 +56,14 @@ class Failure:
         """Whether t [s] lies in the first ``width`` [s] of one of its periods."""
         return self.since(t) % float(self.fault.period) < width - 0.5 * self.tick
 
+    def late(self, t: float, given: Any) -> tuple[float, Any]:
+        """(when it came [s], what) of what has come by t [s], where all is late while it acts."""
+        late = float(self.fault.duration) if self.active(t) else 0.0
+        self.past.append((t + late, given))
+        while len(self.past) > 1 and self.past[1][0] <= t + 0.5 * self.tick:
+            self.past.popleft()
+        return self.past[0]
+
 
 Effect = Callable[[Failure, float, float], float]  # (failure, t [s], value as it is) → as it fails
 
@@ -83,11 +91,8 @@ KINDS: dict[str, Kind] = {
     "stuck_open": Kind("valve", lambda f, t, value: f.size),
     "stuck_closed": Kind("valve", lambda f, t, value: f.rest),
     "slow": Kind("valve", lambda f, t, value: f.last + f.share * (value - f.last)),
-    "supply_lost": Kind("machine"),
-    "link_delayed": Kind("machine"),
-    "link_lost": Kind("machine"),
-    "link_reordered": Kind("machine"),
-    "controller_late": Kind("machine"),
+    **dict.fromkeys(("supply_lost", "link_delayed", "link_lost"), Kind("machine")),
+    **dict.fromkeys(("link_reordered", "controller_late"), Kind("machine")),
 }
 WATCHDOG = 0.02  # [s] without a command after which a target lets its valves go to rest
 
@@ -173,11 +178,7 @@ class FaultyMachine:
         given = np.array(command, dtype=float)
         for failure in self._of("machine"):  # late with the controller, at rest without a link
             if failure.fault.kind == "controller_late":
-                late = float(failure.fault.duration) if failure.active(t) else 0.0
-                failure.past.append((t + late, given))
-                while len(failure.past) > 1 and failure.past[1][0] <= t + 0.5 * failure.tick:
-                    failure.past.popleft()
-                given = failure.past[0][1]
+                given = failure.late(t, given)[1]
             if failure.fault.kind == "link_lost":
                 if not failure.active(t):
                     failure.past = deque([given], maxlen=1)
@@ -234,11 +235,7 @@ class FaultyMachine:
             if kind == "link_lost" and failure.active(t):
                 arrival = math.inf
             if kind == "link_delayed":
-                late = float(failure.fault.duration) if failure.active(t) else 0.0
-                failure.past.append((t + late, self._tick, taken, shown))
-                while len(failure.past) > 1 and failure.past[1][0] <= t + 0.5 * failure.tick:
-                    failure.past.popleft()
-                arrival, sequence, taken, shown = failure.past[0]
+                arrival, (sequence, taken, shown) = failure.late(t, (sequence, taken, shown))
             if kind == "link_reordered" and failure.active(t) and self._tick % 2:
                 arrival = math.inf  # it comes behind the next, which is newer
         if arrival <= t + 0.5 / self.rate and sequence >= self.stamp.sequence:

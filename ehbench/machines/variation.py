@@ -75,15 +75,13 @@ def _changed(name: str, number: float, change: MachineChange, powers: Mapping[st
     word = name.rpartition(".")[2]
     if name in powers:
         return number * change.valve_lag ** powers[name]
-    if word == "bulk_modulus":
-        return number * change.bulk_modulus
-    if word in FRICTION:
-        return number * change.friction
-    if word in FLOW:
-        return number * change.flow
     if name == "supply.pressure":
         return number * change.supply_pressure
-    return max(number + float(change.deadband), 0.0) if word == "deadband" else number
+    if word == "deadband":
+        return max(number + float(change.deadband), 0.0)
+    factors = {"bulk_modulus": change.bulk_modulus, **dict.fromkeys(FRICTION, change.friction)}
+    factors |= dict.fromkeys(FLOW, change.flow)
+    return number * factors.get(word, 1.0)
 
 
 def _varied_rig(rig: Rig, change: MachineChange) -> Rig:

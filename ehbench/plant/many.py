@@ -46,8 +46,12 @@ def map_threads(
     indices = iter(range(len(tasks)))
 
     def work() -> None:
-        for i in indices:
-            results[i] = function(tasks[i])
+        try:
+            for i in indices:
+                results[i] = function(tasks[i])
+        except BaseException:
+            deque(indices, maxlen=0)  # no task begins after an error
+            raise
 
     others = min(workers or cores(), len(tasks)) - 1
     if others < 1:
@@ -55,10 +59,7 @@ def map_threads(
         return list(results.values())
     with ThreadPoolExecutor(others) as pool:
         futures = [pool.submit(work) for _ in range(others)]
-        try:
-            work()
-        finally:
-            deque(indices, maxlen=0)  # no task begins after an error here
+        work()
     for future in futures:
         future.result()
     return [results[i] for i in range(len(tasks))]

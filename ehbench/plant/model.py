@@ -11,21 +11,26 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import BlockAverages, Record
-from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_arrays
+from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_arrays, linkage_of
+from ehbench.parts.load import force_on
+from ehbench.parts.supply import sensed
 from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
-from ehbench.physics.arm import SLIDE
-from ehbench.plant import trim as starts
+from ehbench.physics.arm import SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Kept, Maps, Plant, build, links_of
 from ehbench.plant.gauges import gauged
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
-from ehbench.plant.rest import CREEPS, creep
+from ehbench.plant.rest import CREEPS, carrying, creep, resting
 from ehbench.plant.ties import supplied, tied_words, ties_of
+from ehbench.plant.trim import LowSide, carry, settle_parts, start_key
 from ehbench.plant.valves import acting_commands
 from ehbench.signals.series import first_of
 from ehbench.vocabulary.errors import InputError, LogError, SimulationError
+from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import VOCABULARY
 
 FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
 # what of a recording tells where it starts
@@ -102,7 +107,7 @@ class Model:
     def start_key(self, moves: bool) -> Hashable:
         """All that its start along a recording depends on (`trim.start_key`)."""
         if moves not in self._keys:
-            self._keys[moves] = starts.start_key(self.plant, moves)
+            self._keys[moves] = start_key(self.plant, moves)
         return self._keys[moves]
 
     @cached_property
@@ -138,10 +143,56 @@ class Model:
         Raises:
             InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
         """
-        return starts.posture(self.rig, self.plant, self.layout, required)
+        plant, names = self.plant, self.layout
+        q = np.zeros(len(names.joints))
+        for row in plant.cylinders:
+            q[row.joint] = joint_of(row, 0.5 * row.stroke)
+        if required is not None and not isinstance(required, Mapping):
+            example = f'{{"{names.cylinders[0]}": "120 mm"}}'
+            raise InputError(message("plant.no_posture", given=repr(required), example=example))
+        for name, value in (required or {}).items():
+            if name in names.cylinders:
+                index = names.cylinders.index(name)
+                joint = int(plant.cylinders[index].joint)
+            elif name in names.joints:
+                joint = names.joints.index(name)
+                index = next(iter(np.flatnonzero(plant.cylinders.joint == joint).tolist()), -1)
+            else:
+                raise InputError(
+                    f"posture names '{name}', which is no cylinder or joint",
+                    hint="there are " + ", ".join(names.cylinders),
+                )
+            given = isinstance(value, str)
+            q[joint] = self._coordinate(index, name, value) if given else float(value)
+            if index < 0:
+                continue
+            low, high = sorted(joint_range_of(plant.cylinders[index]))
+            if not low - 1e-9 <= q[joint] <= high + 1e-9:
+                word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
+                ends = (low, high, q[joint])
+                first, last, at = (self.rig.text(word, number, decimals) for number in ends)
+                raise InputError(
+                    f"posture {name} = {at} lies outside the stroke",
+                    hint=f"the stroke allows {first.partition(' ')[0]} to {last}",
+                )
+        return q
+
+    def _coordinate(self, index: int, name: str, text: str) -> float:
+        """A joint coordinate from a text: an angle, or a length that is a stroke."""
+        try:
+            return float(read_value(text, VOCABULARY["x" if self.plant.kind == SLIDE else "q"]))
+        except InputError:
+            row = self.plant.cylinders[index]
+            stroke = float(read_value(text, VOCABULARY["x"]))
+            if not 0 <= stroke <= row.stroke:
+                raise InputError(
+                    f"posture {name} = {text} lies outside the stroke",
+                    hint=f"0 to {self.rig.text('x', row.stroke, 1)}",
+                ) from None
+            return float(joint_of(row, stroke))
 
     def trim(
-        self, q: np.ndarray, low_side: starts.LowSide = None, command: np.ndarray | None = None
+        self, q: np.ndarray, low_side: LowSide = None, command: np.ndarray | None = None
     ) -> np.ndarray:
         """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure,
         loads carried.
@@ -154,7 +205,33 @@ class Model:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
             InputError: ``low_side`` is no pressure.
         """
-        return starts.trim(self.plant, self.layout, self.rig, q, low_side, command)
+        plant, names = self.plant, self.layout
+        n = len(names.joints)
+        y = np.zeros(names.states)
+        y[:n] = q
+        torque = np.empty(n)
+        gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
+        played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
+        for index, row in enumerate(plant.cylinders):
+            name = names.cylinders[index]
+            low = low_side.get(name) if isinstance(low_side, Mapping) else low_side
+            if low is not None:
+                read_value(f"{low} Pa", VOCABULARY["p_head"])  # refuses no pressure
+            x, lever, _ = linkage_of(row, q[row.joint])
+            if abs(lever) < 1e-6:
+                raise SimulationError(
+                    f"cylinder '{name}' has no lever at this posture, so nothing holds the load"
+                )
+            force = torque[row.joint] / lever
+            if plant.forces.shape[0]:
+                force -= force_on(index, x, 0.0, played, plant)
+            fixed = resting(plant, row, force) if low is None else carrying(row, force, low)
+            y[names.state("p_head", index)], y[names.state("p_rod", index)] = fixed
+        for valve, (_, item) in zip(plant.valves, self.rig.valves(), strict=True):
+            valve_settle(valve, item.rest, plant, y)
+        y[plant.at.supply] = sensed(plant.tank_pressure, plant.supply)
+        settle_parts(plant, y)
+        return y
 
     def creep(self, index: int, state: np.ndarray) -> float:
         """Speed [m/s] of a cylinder, out positive, at a state of `trim` while its valves are at
@@ -280,8 +357,8 @@ class Model:
             if "qd" in tied_words(record) and None not in measured:
                 y[head], y[rod] = measured  # no load is needed for a motion that is given
                 continue
-            y[head], y[rod] = starts.carry(self.plant.cylinders[index], (y[head], y[rod]), measured)
-        starts.settle_parts(self.plant, y)
+            y[head], y[rod] = carry(self.plant.cylinders[index], (y[head], y[rod]), measured)
+        settle_parts(self.plant, y)
         for valve, name in zip(self.plant.valves, self.layout.valves, strict=True):
             if f"{name}.command" in record:
                 valve_settle(valve, float(record[f"{name}.command"][0]), self.plant, y)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,15 +85,10 @@ class Column:
         return f"{self.key} [{self.unit}]" if self.unit else self.key
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """Values, standard errors, bounds and correlation of identified parameters, SI."""
+class Fitted(NamedTuple):
+    """Identified parameters as draws of keys of the rig, SI, and their correlation."""
 
-    names: tuple[str, ...]
-    values: tuple[float, ...]
-    std: tuple[float, ...]
-    bounds: tuple[tuple[float, float], ...]
-    units: tuple[str, ...]
+    drawn: list[Drawn]
     correlation: np.ndarray
 
     @classmethod
@@ -111,29 +106,16 @@ class Fitted:
             raise InputError(text, file=file)
         if not names:
             raise InputError(message("sampling.nothing_fitted"), file=file)
+        drawn = []
+        for name in names:
+            row = rows[name]
+            unit = "" if row["unit"] == "dimensionless" else row["unit"]
+            lower = -math.inf if row["lower"] is None else row["lower"]
+            upper = math.inf if row["upper"] is None else row["upper"]
+            numbers = float(row["value"]), float(row["std"])
+            drawn.append(Drawn(f"rig.{name}", "normal", *numbers, unit, False, lower, upper))
         order = [result["correlated_names"].index(name) for name in names]
-        matrix = np.array(result["correlation"], float)[np.ix_(order, order)]
-        picked = [rows[name] for name in names]
-        free = {"lower": -math.inf, "upper": math.inf}
-        ends = [[free[key] if row[key] is None else row[key] for key in free] for row in picked]
-        return cls(
-            tuple(names),
-            tuple(float(row["value"]) for row in picked),
-            tuple(float(row["std"]) for row in picked),
-            tuple((low, high) for low, high in ends),
-            tuple(row["unit"] for row in picked),
-            matrix,
-        )
-
-    def drawn(self) -> list[Drawn]:
-        """Its parameters as keys of the rig."""
-        units = ["" if unit == "dimensionless" else unit for unit in self.units]
-        return [
-            Drawn(f"rig.{name}", "normal", value, std, unit, False, *ends)
-            for name, value, std, unit, ends in zip(
-                self.names, self.values, self.std, units, self.bounds, strict=True
-            )
-        ]
+        return cls(drawn, np.array(result["correlation"], float)[np.ix_(order, order)])
 
 
 class Design:
@@ -145,7 +127,7 @@ class Design:
 
     def __init__(self, recipe: StudyRecipe, fitted: Fitted | None = None) -> None:
         self.recipe = recipe
-        self.listed, self.drawn = _listed(recipe), [] if fitted is None else fitted.drawn()
+        self.listed, self.drawn = _listed(recipe), [] if fitted is None else [*fitted.drawn]
         for key, spread in recipe.draw.items():
             law, ends = spread.kind, spread.ends
             self.drawn.append(_drawn(recipe, ("draw", key), law, ends, spread.relative))
@@ -354,7 +336,7 @@ def _root(recipe: StudyRecipe, drawn: Sequence[Drawn], fitted: Fitted | None) ->
     """The lower triangle that makes independent normal draws correlated, shape (drawn, drawn)."""
     matrix, keys = np.eye(len(drawn)), [item.key for item in drawn]
     if fitted is not None:
-        n = len(fitted.names)
+        n = len(fitted.drawn)
         matrix[:n, :n] = fitted.correlation
     for index, (first, second, share) in enumerate(recipe.correlation):
         for key in (first, second):

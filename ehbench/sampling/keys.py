@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from ehbench.config.recipe import BenchRecipe, validated
+from ehbench.config.recipe import validated
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
 from ehbench.vocabulary.errors import InputError, UnitError, placed
@@ -26,30 +26,21 @@ from ehbench.vocabulary.units import split_number
 RIG, RECIPE, BENCH = "rig", "recipe", "bench"
 
 
-class Key(NamedTuple):
-    """A key taken apart: stem of the ``upstream`` recipe or '', file that it changes, path in
-    it."""
+def key_of(text: str, upstream: Sequence[str] = ()) -> tuple[str, str, str]:
+    """(stem of the ``upstream`` recipe or '', file that it changes, path in it) of a study's key.
 
-    upstream: str
-    file: str
-    path: str
-
-    @classmethod
-    def of(cls, text: str, upstream: Sequence[str] = ()) -> Key:
-        """A key of a study.
-
-        Raises:
-            InputError: it names no file.
-        """
-        stem = next((name for name in upstream if text.startswith(f"{name}.")), "")
-        file, _, path = text.removeprefix(f"{stem}.").partition(".")
-        if file in (RIG, RECIPE, BENCH) and path:
-            return cls(stem, file, path)
-        first = [RIG, RECIPE, BENCH, *upstream]
-        near = [name for name in get_close_matches(file, first, 1) if name != file]
-        hint = f"did you mean '{near[0]}.{path}'?" if near else None
-        known = ", ".join(f"{name}." for name in first)
-        raise InputError(message("sampling.no_key", key=text, first=known), hint=hint)
+    Raises:
+        InputError: it names no file.
+    """
+    stem = next((name for name in upstream if text.startswith(f"{name}.")), "")
+    file, _, path = text.removeprefix(f"{stem}.").partition(".")
+    if file in (RIG, RECIPE, BENCH) and path:
+        return stem, file, path
+    first = [RIG, RECIPE, BENCH, *upstream]
+    near = [name for name in get_close_matches(file, first, 1) if name != file]
+    hint = f"did you mean '{near[0]}.{path}'?" if near else None
+    known = ", ".join(f"{name}." for name in first)
+    raise InputError(message("sampling.no_key", key=text, first=known), hint=hint)
 
 
 @dataclass
@@ -69,9 +60,8 @@ def changes_of(settings: Mapping[str, Any], upstream: Sequence[str] = ()) -> dic
     """
     results = {"": Changes()}
     for text, value in settings.items():
-        key = Key.of(text, upstream)
-        changes = results.setdefault(key.upstream, Changes())
-        getattr(changes, key.file)[key.path] = value
+        stem, file, path = key_of(text, upstream)
+        getattr(results.setdefault(stem, Changes()), file)[path] = value
     return results
 
 
@@ -201,14 +191,3 @@ def _times(old: Any, raw: Any, text: str) -> Any:
     except UnitError as error:
         raise InputError(f"'{text}': {error.message}") from None
     return f"{number * float(raw)!r} {unit}".strip()
-
-
-def changed_bench(table: Mapping[str, Any], changes: Mapping[str, Any], path: Path) -> dict:
-    """A bench file's table with some of its keys set.
-
-    Raises:
-        InputError: with the nearest key where there is no such one.
-    """
-    built = changed_table(table, changes, BENCH)
-    validated(BenchRecipe, built, "", path)
-    return built

@@ -27,16 +27,13 @@ def quantile(values: np.ndarray, share: float) -> Quantile:
 
     Args:
         values: finite, shape (samples,), at least one.
-        share: of the quantile, from 0 to 1.
+        share: of the quantile, above 0 and below 1.
     """
-    from scipy.stats import binom
+    from scipy.stats import quantile_test
 
-    ordered, n = np.sort(values), values.size
-    # P(X_(r) ≤ q) = P(B ≥ r): the largest r with P(B ≤ r − 1) ≤ TAIL, and so at the upper end
-    first, last = int(binom.ppf(TAIL, n, share)), int(binom.isf(TAIL, n, share)) + 1
-    low = float(ordered[first - 1]) if first >= 1 else None
-    high = float(ordered[last - 1]) if last <= n else None
-    return Quantile(share, float(np.quantile(ordered, share)), low, high)
+    interval = quantile_test(values, p=share).confidence_interval(0.95)
+    low, high = (None if math.isnan(end) else float(end) for end in interval)
+    return Quantile(share, float(np.quantile(values, share)), low, high)
 
 
 class Share(NamedTuple):

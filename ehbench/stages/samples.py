@@ -12,6 +12,7 @@ from weakref import finalize
 
 from ehbench.config.recipe import (
     AnyTrial,
+    BenchRecipe,
     Measure,
     Recipe,
     StudyRecipe,
@@ -25,7 +26,7 @@ from ehbench.runs import rundir
 from ehbench.runtime.disk import impossible, write_text
 from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
-from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
+from ehbench.sampling.keys import BENCH, Changes, changed_rig, changed_table, changes_of
 from ehbench.sampling.measures import lookup, of_channels, value_of
 from ehbench.sampling.sample import LATE, STATUS, Make, Sample
 from ehbench.stages.base import Stage, stage_of
@@ -394,7 +395,9 @@ def write_bench(recipe: Recipe, changes: Mapping[str, Any], path: Path) -> None:
     table: Any = read_toml(source)[0] if trial.bench else {"stage": "bench", "rig": trial.rig}
     rig = (source.parent / str(table["rig"])).resolve()
     table["rig"] = relative(rig, path.parent.resolve())
-    write_text(path, tomli_w.dumps(changed_bench(table, changes, source)))
+    table = changed_table(table, changes, BENCH)
+    validated(BenchRecipe, table, "", source)
+    write_text(path, tomli_w.dumps(table))
 
 
 def upstream_recipes(path: Path) -> dict[str, Path]:

@@ -316,11 +316,7 @@ def _single_keys(
 
 
 def _refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> None:
-    """Refuse measures that no sample will have; the channels of a user's class are not known.
-
-    Raises:
-        InputError: names the nearest.
-    """
+    """Refuse measures that no sample will have; the channels of a user's class are not known."""
     from ehbench import trial
 
     roots = stage.results(prepared)

@@ -47,7 +47,7 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         if inputs.live is not None:
             raise InputError(message("stages.live_of_set"), file=recipe.path)
         planned = recipe.cases()
-        for _, _, entry in planned:
+        for entry in planned:
             trial.refuse_code(entry, inputs.allow_code)
             with inputs.notes.collected():
                 trial.refuse_unknown(entry)
@@ -55,13 +55,13 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         states = {(recipe.rig, recipe.flow_maps): base}
         files = list(base.inputs)
         cases, trials, lengths = [], [], []
-        for name, _, entry in planned:
+        for entry in planned:
             with inputs.notes.collected():
                 key = (entry.rig, entry.flow_maps)
                 if key not in states:
                     other = inputs.rig_state(*key)
                     states[key] = replace(other, rig=with_identified(other.rig, base.rig))
-                case, inside, prepared = prepared_case(name, entry, states[key], inputs)
+                case, inside, prepared = prepared_case(entry.title, entry, states[key], inputs)
                 case = replace(case, seeds=recipe.seeds)
                 files += [item for item in (*states[key].inputs, *inside) if item not in files]
                 cases.append(case)
@@ -98,10 +98,10 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         (folder / "ledgers").mkdir()
         results = trial.run_cases(cases, prepared.trials, logs=folder / "logs", progress=progress)
         write_rig(folder, rig, prepared.base.flow_maps)
-        named = [(case.name, result.account) for case, result in zip(cases, results, strict=True)]
-        for file, (_, account) in zip(trial.file_names(cases), named, strict=True):
-            if account.ledger is not None:
-                rundir.write_json(folder / "ledgers" / f"{file}.json", account.ledger)
+        named = [(case.name, result) for case, result in zip(cases, results, strict=True)]
+        for file, result in zip(trial.file_names(cases), results, strict=True):
+            if result.ledger is not None:
+                rundir.write_json(folder / "ledgers" / f"{file}.json", result.ledger)
         rows = trial.table_rows(cases, results)
         rundir.write_json(folder / "table.json", {"rows": rows})
         write_text(folder / "table.csv", trial.table_csv(rows, rig))

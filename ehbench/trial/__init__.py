@@ -7,7 +7,6 @@ from __future__ import annotations
 from ehbench.trial.cases import (
     Account,
     Case,
-    CaseResult,
     account,
     file_names,
     run_cases,

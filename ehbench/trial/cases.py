@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,9 +14,8 @@ import numpy as np
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
-from ehbench.data.record import Record
 from ehbench.ledger import Accuracy, bounds, ledger_of_log, ledger_of_model
-from ehbench.runtime.cores import cores
+from ehbench.plant.many import map_threads
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, Facts, Result, run
 from ehbench.vocabulary.errors import EhbenchError, InsufficientData, SimulationError
@@ -136,15 +135,6 @@ def _joined(trees: Sequence[Any], middle: int, fold: Callable[[list[float]], Any
     return fold(known) if 2 * len(known) > len(trees) else None
 
 
-class CaseResult(NamedTuple):
-    """What a trial of a set leaves: its record and its account; of several runs the record and the
-    ledger of the middle one, and the measures of all.
-    """
-
-    record: Record
-    account: Account
-
-
 @dataclass(frozen=True)
 class Case:
     """One trial of a set: its name, what `run_trial` needs, and how many runs it makes, each with
@@ -162,8 +152,9 @@ class Case:
         """This trial before its first tick: `ehbench.trial.prepare`."""
         return prepare(self.recipe, self.rig, self.maps, self.gains, allow_code, standing)
 
-    def run(self, prepared: Prepared, log: Path | None = None) -> CaseResult:
-        """Its record and account, with the case's name on what goes wrong.
+    def run(self, prepared: Prepared, log: Path | None = None) -> Account:
+        """Its account, with the case's name on what goes wrong; of several runs the log and the
+        ledger of the middle one, and the measures of all.
 
         Raises:
             EhbenchError: as `ehbench.trial.run`.
@@ -171,20 +162,17 @@ class Case:
         if self.seeds == 1:
             return self._once(prepared, log)
         runs = [prepared.seeded(self.recipe.seed + more) for more in range(self.seeds)]
-        facts = [self._once(item, intervals=False).account.facts for item in runs]
+        facts = [self._once(item, intervals=False).facts for item in runs]
         middle = middle_of(facts)
-        record, retained = self._once(runs[middle], log)
-        return CaseResult(record, retained._replace(facts=over_runs(facts, middle)))
+        return self._once(runs[middle], log)._replace(facts=over_runs(facts, middle))
 
-    def _once(
-        self, prepared: Prepared, log: Path | None = None, intervals: bool = True
-    ) -> CaseResult:
+    def _once(self, prepared: Prepared, log: Path | None = None, intervals: bool = True) -> Account:
         try:
             result = run(prepared, log=log)
         except SimulationError as error:
             problem = message("trial.case_failed", case=self.name, problem=error.message)
             raise type(error)(problem, file=error.file, hint=error.hint) from None
-        return CaseResult(result.record, account(prepared, result, intervals))
+        return account(prepared, result, intervals)
 
     @property
     def motion(self) -> str:
@@ -200,9 +188,8 @@ def run_cases(
     logs: Path | None = None,
     workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
-) -> list[CaseResult]:
-    """Run trials in parallel threads (the compiled loops let go of the interpreter); results in the
-    order of ``cases``.
+) -> list[Account]:
+    """Run trials on threads; results in the order of ``cases``.
 
     Args:
         cases: what to run.
@@ -212,33 +199,18 @@ def run_cases(
         progress: told which case is done and the share done.
 
     Raises:
-        EhbenchError: the first case that fails; the rest is given up.
+        EhbenchError: a case fails; those that have not begun are given up.
     """
+    names, done = file_names(cases), count(1)
 
-    names = file_names(cases)
-
-    def run_case(index: int) -> CaseResult:
+    def run_case(index: int) -> Account:
         log = None if logs is None else logs / f"{names[index]}.mcap"
-        return cases[index].run(prepared[index], log)
+        result = cases[index].run(prepared[index], log)
+        if progress is not None:
+            progress(cases[index].name, next(done) / len(cases))
+        return result
 
-    with ThreadPoolExecutor(workers or cores()) as pool:
-        jobs = [pool.submit(run_case, index) for index in range(len(cases))]
-
-        def report(name: str) -> None:
-            if progress is not None:
-                progress(name, sum(job.done() for job in jobs) / len(jobs))
-
-        for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(lambda _, name=case.name: report(name))
-        wait(jobs, return_when=FIRST_EXCEPTION)
-        failed = [
-            job
-            for job in jobs
-            if job.done() and not job.cancelled() and job.exception() is not None
-        ]
-        if failed:
-            pool.shutdown(cancel_futures=True)
-        return [job.result() for job in (failed or jobs)]
+    return map_threads(run_case, range(len(cases)), workers)
 
 
 def file_names(cases: Sequence[Case]) -> list[str]:
@@ -247,9 +219,9 @@ def file_names(cases: Sequence[Case]) -> list[str]:
     return numbered(stem or "case" for stem in stems)
 
 
-def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dict[str, Any]]:
+def table_rows(cases: Sequence[Case], results: Sequence[Account]) -> list[dict[str, Any]]:
     """One table a case, SI: what it was, where its log lies, what stopped it, and its measures."""
-    facts_of = [result.account.facts for result in results]
+    facts_of = [result.facts for result in results]
     return [
         {
             "case": case.name,

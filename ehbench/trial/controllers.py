@@ -326,8 +326,14 @@ def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[Message, .
         return ()
     if tuned["kind"] != here["kind"]:
         supply = message("trial.other_kind", tuned=tuned["kind"], kind=here["kind"])
-    else:
-        supply = ", ".join(_supply_change(rig, name, tuned[name], here[name]) for name in here)
+        return (message("trial.other_supply", supply=supply),)
+    changes = []
+    for name in [name for name in here if name != "kind"]:
+        unit, row = rig.unit_of(name), VOCABULARY[name]
+        before, now = (f"{from_si(item[name], unit, row):.4g}" for item in (tuned, here))
+        other = _differ(tuned[name], here[name])
+        changes.append(f"{name} {before} {unit}" + f" (here {now})" * other)
+    supply = ", ".join([here["kind"], *changes])
     return (message("trial.other_supply", supply=supply),)
 
 
@@ -335,15 +341,6 @@ def _differ(item: Any, other: Any) -> bool:
     if isinstance(item, str) or isinstance(other, str):
         return item != other
     return not math.isclose(item, other, rel_tol=ROUNDING)
-
-
-def _supply_change(rig: Rig, name: str, tuned: Any, here: Any) -> str:
-    """A value [SI] of the supply as it was tuned on and as it is; the kind by itself."""
-    if name == "kind":
-        return here
-    unit, row = rig.unit_of(name), VOCABULARY[name]
-    before, now = (f"{from_si(item, unit, row):.4g}" for item in (tuned, here))
-    return f"{name} {before} {unit}" + (f" (here {now})" if _differ(tuned, here) else "")
 
 
 def _refuse_without(recipe: TrialRecipe, law: Law, gains: Mapping[str, Any]) -> None:

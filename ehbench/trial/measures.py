@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -175,15 +175,6 @@ def short_measures(
     return results
 
 
-class _Use(NamedTuple):
-    """How an edge was used: ``commands`` [V] from near its onset up to the largest, and the median
-    ``drop`` [Pa] along it.
-    """
-
-    commands: np.ndarray
-    drop: float
-
-
 def learnt_maps(design: Design, machine: Machine, record: Record, rows: int) -> dict[str, Any]:
     """Of each edge that passed oil the correction at the end, and where the machine can tell, the
     true one.
@@ -203,12 +194,16 @@ def learnt_maps(design: Design, machine: Machine, record: Record, rows: int) -> 
         results[edge] = {"gain": gain, "shift": shift}
         flow = static_flow_of(machine)
         if flow is not None:
-            true = np.asarray(flow(edge, use.commands, np.full(use.commands.size, use.drop)))
-            results[edge] |= _true_correction(design, number, use, true, (gain, shift))
+            results[edge] |= _true_correction(design, number, use, flow(edge, *use), (gain, shift))
     return results
 
 
-def _use(design: Design, number: int, record: Record, rows: int) -> _Use | None:
+def _use(
+    design: Design, number: int, record: Record, rows: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """How an edge was used: (commands [V] from near its onset up to the largest, the median drop
+    [Pa] along it at each); None where it was not.
+    """
     edge, row = design.edges[number], design.circuit.edges[design.circuit.first + number]
     flow = np.abs(record[f"{edge}.flow_desired"][:rows])
     used = flow > MEASURES.used * flow.max(initial=0.0)
@@ -224,18 +219,23 @@ def _use(design: Design, number: int, record: Record, rows: int) -> _Use | None:
     pressures = [record[nodes[end]][:rows][used] for end in (item.from_, item.to)]
     drop = float(np.median(pressures[0] - pressures[1]))
     maximum, openings = float(command[used].max()), np.linspace(*MEASURES.openings)
-    return None if drop == 0.0 else _Use(row.sign * (onset + openings * (maximum - onset)), drop)
+    commands = row.sign * (onset + openings * (maximum - onset))
+    return None if drop == 0.0 else (commands, np.full(commands.size, drop))
 
 
 def _true_correction(
-    design: Design, number: int, use: _Use, true: np.ndarray, learnt: tuple[float, float]
+    design: Design,
+    number: int,
+    use: tuple[np.ndarray, np.ndarray],
+    true: np.ndarray,
+    learnt: tuple[float, float],
 ) -> dict[str, float]:
+    commands, drops = use
     row, maps = design.circuit.edges[design.circuit.first + number], design.circuit.maps
 
     def mapped(shift: float) -> np.ndarray:
-        moved = use.commands - row.sign * shift
-        flows = np.empty(moved.size)
-        edge_flows(np.full(moved.size, use.drop), moved, row, maps, flows)
+        flows = np.empty(commands.size)
+        edge_flows(drops, commands - row.sign * shift, row, maps, flows)
         return flows
 
     tried = []

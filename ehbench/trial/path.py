@@ -229,7 +229,7 @@ def _leg(
     """
     from scipy.interpolate import make_interp_spline
 
-    item, other = ends
+    (item, other), chain, slack = ends, mover.chain, 1e-9
     length = float(np.linalg.norm(other - item))
     where = mover.recipe.at(*mover.motion.where, "points", index)
     if length <= FOUND:
@@ -245,7 +245,11 @@ def _leg(
     for _ in range(PATH.doublings):
         share = np.linspace(0.0, 1.0, 2 * count + 1)  # every other one to see how far it is off
         line = item + share[:, None] * (other - item)
-        postures = _polished(mover, line, near(share), index)
+        starts = near(share)
+        postures, miss = polish(chain, line, starts, mover.free)
+        out = (postures < chain.low - slack) | (postures > chain.high + slack)
+        for i in np.flatnonzero(out[:, mover.free].any(axis=1) | (miss > FOUND)):
+            postures[i] = mover.between(line[i], starts[i], index)
         built = mover.strokes(postures)
         curve = make_interp_spline(length * share[::2], built[::2], k=5)
         apart = np.abs(curve(length * share[1::2]) - built[1::2])
@@ -270,18 +274,3 @@ def _tip_slope(mover: Mover, q: np.ndarray) -> np.ndarray:
         way = np.linalg.norm(tip_of(mover.chain, moved) - tip_of(mover.chain, q), axis=1)
         slopes.append(way / step / np.abs(linkage_arrays(row, q[:, joint])[1]))
     return np.column_stack(slopes)
-
-
-def _polished(mover: Mover, line: np.ndarray, starts: np.ndarray, index: int) -> np.ndarray:
-    """Postures along the points of a line, from near ones.
-
-    Raises:
-        InputError: a point out of reach.
-    """
-    chain, free = mover.chain, mover.free
-    q, miss = polish(chain, line, starts, free)
-    slack = 1e-9
-    out = ((q < chain.low - slack) | (q > chain.high + slack))[:, free].any(axis=1)
-    for i in np.flatnonzero(out | (miss > FOUND)):
-        q[i] = mover.between(line[i], starts[i], index)
-    return q

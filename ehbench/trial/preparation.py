@@ -388,11 +388,7 @@ def prepare(
 
 
 def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
-    """Refuse a first pressure of a sensor that the machine lacks.
-
-    Raises:
-        InputError: names those that there are.
-    """
+    """Refuse a first pressure of a sensor that the machine lacks."""
     known = [name for name in machine.channels if name.rsplit(".", 1)[-1].startswith("p_")]
     for name in recipe.first_pressure_error:
         if name not in known:
@@ -428,11 +424,7 @@ _ROW, _EACH = 100, 30
 
 
 def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
-    """Refuse a trial that no memory holds, or that would compute for hours.
-
-    Raises:
-        InputError: says what it would take.
-    """
+    """Refuse a trial that no memory holds, or that would compute for hours."""
     parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
     waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
     if recipe.limits != type(recipe.limits)():
@@ -498,11 +490,7 @@ def _loop(
 def _refuse_misfit(
     recipe: TrialRecipe, singles: Sequence[TrialRecipe], tuning: Mapping[str, Any] | None
 ) -> None:
-    """Refuse what a controller says of several cylinders where it does not fit them.
-
-    Raises:
-        InputError: a class for several, a law or tuned gains of a cylinder that does not move.
-    """
+    """Refuse a class for several cylinders, a law or tuned gains of one that does not move."""
     chosen = recipe.controller
     names = [single.motion.cylinder for single in singles if single.motion is not None]
     if chosen is None or len(singles) == 1 and not chosen.cylinders:

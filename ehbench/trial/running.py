@@ -124,28 +124,7 @@ def run_trial(
     gains: Path | None = None,
     allow_code: bool = False,
 ) -> tuple[Record, Facts]:
-    """Run one trial from rest: its record and the facts about it.
-
-    On the model the record has all that `Model.record` gives; on the virtual bench only what a
-    machine measures, and the commands; under a controller also its notes. When a limit is reached
-    the valves go to rest from that very tick on, in the recipe's ramp, and what follows is logged
-    until the machine stands, for RUN_OUT seconds at most.
-
-    Args:
-        rig: as the recipe names it.
-        recipe: what to do; its ``bench`` names the bench file, without which the bench is a
-            plausible one of this rig.
-        maps: measured flow maps of the rig, for the model and for the controller.
-        progress: told what is at work and the share done, from 0 to 1.
-        gains: the run folder of the tune run that the recipe takes gains from; by default where the
-            recipe points.
-        allow_code: lets a controller of the user's own run.
-
-    Raises:
-        InputError: a command, posture, payload, motion, gain or bench file that does not fit the
-            rig; a limit reached before the start; code that is not allowed, or raised.
-        SimulationError: the numbers left the finite range.
-    """
+    """The record and the facts of one trial: `prepare`, then `run`."""
     record, facts, _ = run(prepare(recipe, rig, maps, gains, allow_code), progress=progress)
     return record, facts
 
@@ -159,7 +138,12 @@ def run(
     watcher: Watcher | None = None,
     operator: OperatorInput | None = None,
 ) -> Result:
-    """Run a prepared trial.
+    """Run a prepared trial from rest.
+
+    On the model the record has all that `Model.record` gives; on the virtual bench only what a
+    machine measures, and the commands; under a controller also its notes. When a limit is reached
+    the valves go to rest from that very tick on, in the recipe's ramp, and what follows is logged
+    until the machine stands, for RUN_OUT seconds at most.
 
     Args:
         prepared: the trial.
@@ -172,7 +156,8 @@ def run(
         operator: holds the levers of the trial's motions.
 
     Raises:
-        EhbenchError: as `run_trial`.
+        InputError: a limit reached before the start; a user's class that raised.
+        SimulationError: the numbers left the finite range.
     """
     at_work = prepared.machine if machine is None else machine
     with ExitStack() as logging:

@@ -164,11 +164,7 @@ class Session:
         self._stretch = max(1, round(SESSION.look * machine.rate))
 
     def _refuse_blind(self, laws: list[Compiled], measured: np.ndarray) -> None:
-        """Refuse a law that needs a channel for which the machine has no sensor.
-
-        Raises:
-            InputError: names the channels.
-        """
+        """Refuse a law that needs a channel for which the machine has no sensor."""
         for part in laws:
             needed = part.controller.observed
             if part.controller.monitor is not None:
@@ -231,7 +227,13 @@ class Session:
             stopped_at, upto = self._through(first, until)
             if stopped_at >= 0:
                 self._halt(stopped_at)
-            self._fill(first, upto)
+            if self._truth is None:  # the value before, where a sensor gave no plausible number
+                samples, (lowest, highest) = self.rows.samples, self._plausible
+                part = samples[first:upto]
+                gaps = self.rows.checks.measured & ~((lowest <= part) & (part <= highest))
+                for i, j in zip(*np.nonzero(gaps), strict=True):
+                    samples[first + i, j] = samples[first + i - 1, j]
+                self.gaps += gaps.sum(axis=0)
             if log is not None:
                 log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
             first = upto
@@ -241,22 +243,8 @@ class Session:
             if progress is not None:
                 progress(slow, first / self.end)
 
-    def _fill(self, first: int, stop: int) -> None:
-        """Repeat the value before where a sensor gave no plausible number."""
-        if self._truth is None:
-            samples, (lowest, highest) = self.rows.samples, self._plausible
-            part = samples[first:stop]
-            gaps = self.rows.checks.measured & ~((lowest <= part) & (part <= highest))
-            for i, j in zip(*np.nonzero(gaps), strict=True):
-                samples[first + i, j] = samples[first + i - 1, j]
-            self.gaps += gaps.sum(axis=0)
-
     def _pace(self, done: int, seconds: float) -> str:
-        """Words on a class that is slow to answer; refuses one that would take for ever.
-
-        Raises:
-            InputError: the trial would take longer than the settings allow.
-        """
+        """Words on a class that is slow to answer; refuses one that would take for ever."""
         if self.user_code is None or seconds < SESSION.patience or done >= self.end:
             return ""
         remaining = (self.end - done) * seconds / done

@@ -171,19 +171,21 @@ def damping_ratio(poles: Any, fastest: float = math.inf) -> np.ndarray:
 
     Poles at zero, such as that of a chamber which nothing holds, do not count, nor stable ones
     beyond ``fastest`` [rad/s]."""
-    size = np.abs(poles)
-    counts = (size > AT_ZERO * size.max(axis=-1, keepdims=True)) & (
-        (size < fastest) | (poles.real > 0.0)
-    )
+    size, counts = np.abs(poles), _counts(poles, fastest)
     return np.where(counts, -poles.real / np.where(counts, size, 1.0), 1.0).min(axis=-1)
+
+
+def _counts(poles: Any, fastest: float) -> np.ndarray:
+    """Which of the poles along the last axis `damping_ratio` counts."""
+    size = np.abs(poles)
+    nonzero = size > AT_ZERO * size.max(axis=-1, keepdims=True)
+    return nonzero & ((size < fastest) | (poles.real > 0.0))
 
 
 def dominant(poles: Any, fastest: float = math.inf) -> complex:
     """The least damped of the poles that `damping_ratio` counts, upper half; the slowest if all are
     real."""
-    size = np.abs(poles)
-    counts = (size > AT_ZERO * size.max()) & ((size < fastest) | (poles.real > 0.0))
-    among = poles[counts]
+    among = poles[_counts(poles, fastest)]
     best = among[np.lexsort((np.abs(among), -among.real / np.abs(among)))[0]]
     return complex(best.real, abs(best.imag))
 

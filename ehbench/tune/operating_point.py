@@ -4,7 +4,7 @@ and speed, with all other joints held (SPEC 3), and the state of the plant in th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -61,7 +61,6 @@ class OperatingPointSettings:
 
 
 POINT = OperatingPointSettings()
-_Ports = Callable[[float], tuple[Pressures, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -320,8 +319,20 @@ class _Motion:
         """Off-side pressure [Pa] at which one opening passes both flows: on the low rail, else on
         the line."""
 
+        from scipy.optimize import brentq
+
+        circuit, lead = self.circuit, int(METERING[self.function])
+        at_work = map(int, np.flatnonzero(PATH_FLOWS[self.function].any(axis=1)))
+        follow = next(path for path in at_work if path != lead)
+
         def ports(off: float) -> tuple[Pressures, np.ndarray]:
             return self.ports(v, *self.chambers(force, off))
+
+        def surplus(off: float) -> float:
+            """Flow beyond the required one at the other end of the opening [m³/s]."""
+            at, need = ports(off)
+            command = _command(circuit, lead, need[lead], max(path_drop(lead, at, circuit), 1.0))
+            return _flow(circuit, follow, path_drop(follow, at, circuit), command) - need[follow]
 
         low, high = self.p_tank, self.model.plant.supply.pressure
         ends = [low + 1.0, high - 1.0]
@@ -332,9 +343,9 @@ class _Motion:
                 first, last = (middle, last) if railed else (first, middle)
             ends[1:1] = first, last
         for first, last in zip(ends[::2], ends[1::2], strict=True):
-            surplus = _Surplus(self.circuit, self.function, ports)
-            if (root := surplus.root(first, last)) is not None:
-                return root
+            if not surplus(first) * surplus(last) > 0.0:
+                root: Any = brentq(surplus, first, last, rtol=np.float64(1e-14))
+                return float(root)
         return low if abs(surplus(ends[0])) < abs(surplus(ends[-1])) else high
 
     def give(self, v: float, settled: _Settled) -> float:
@@ -525,33 +536,6 @@ def _path(
         bool(path == METERING[function]),
         bool(reachable),
     )
-
-
-@dataclass(frozen=True)
-class _Surplus:
-    """Flow beyond the required one at the other end of one opening [m³/s], over the off-side
-    pressure."""
-
-    circuit: Circuit
-    function: int
-    ports: _Ports
-
-    def __call__(self, off: float) -> float:
-        circuit, lead = self.circuit, int(METERING[self.function])
-        at_work = map(int, np.flatnonzero(PATH_FLOWS[self.function].any(axis=1)))
-        follow = next(path for path in at_work if path != lead)
-        at, need = self.ports(off)
-        command = _command(circuit, lead, need[lead], max(path_drop(lead, at, circuit), 1.0))
-        return _flow(circuit, follow, path_drop(follow, at, circuit), command) - need[follow]
-
-    def root(self, low: float, high: float) -> float | None:
-        """Where it is none, None where that is not between."""
-        from scipy.optimize import brentq
-
-        if self(low) * self(high) > 0:
-            return None
-        root: Any = brentq(self, low, high, rtol=np.float64(1e-14))
-        return float(root)
 
 
 class Hose(NamedTuple):

@@ -522,21 +522,31 @@ def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():
 
 
 @pytest.mark.slow
-def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
+def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads(tmp_path):
     steps = {"name": "step", "kind": "velocity_steps", "cylinder": "boom", "levels": ["30 %"]}
     steps |= {"travel": "30 mm", "rest": "0.2 s"}
     of = {"payloads": ["none", "50 lb"], "motion": [steps, UP_DOWN], "posture": {"boom": "60 mm"}}
     of |= {"controller": [OPEN | {"name": "open loop"}, FEEDBACK | {"name": "fed"}]}
-    given = TrialSetRecipe(stage="trials", rig="x", on="bench", bench=BENCH, **of)
-    cases = [Case(name, one, ARM, None) for name, _, one in given.cases()]
+    of |= {"stage": "trials", "rig": "x", "on": "bench", "path": tmp_path / "set.toml"}
+    (tmp_path / "set.toml").touch()
+    given = TrialSetRecipe(bench=BENCH, **of)
+    cases = [Case(one.title, one, ARM, None) for one in given.cases()]
     names = ("step open loop", "step fed", "point_to_point open loop")
     assert [c.name for c in cases][:3] == [f"no load {name}" for name in names]
     assert len(cases) == 8 and cases[-1].recipe.payload == "50 lb"
     assert cases[0].recipe.payload is None
     prepared = [case.prepare() for case in cases]
-    serial, parallel = (run_cases(cases, prepared, workers=workers) for workers in (1, 4))
-    for (a, own_a), (b, own_b) in zip(serial, parallel, strict=True):
-        assert all(np.array_equal(a[name], b[name]) for name in a.channels) and own_a == own_b
+    for workers in ("1", "4"):
+        (tmp_path / workers).mkdir()
+    serial, parallel = (
+        run_cases(cases, prepared, logs=tmp_path / str(workers), workers=workers)
+        for workers in (1, 4)
+    )
+    assert serial == parallel
+    logs = sorted((tmp_path / "1").iterdir())
+    assert len(logs) == 8
+    for log in logs:
+        assert log.read_bytes() == (tmp_path / "4" / log.name).read_bytes()
     rows = table_rows(cases, serial)
     text = table_csv(rows, ARM).splitlines()
     assert len(text) == 9 and len({line.count(",") for line in text}) == 1

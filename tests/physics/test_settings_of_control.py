@@ -608,7 +608,7 @@ def shifts_tried():
     """Shifts of a deadband that are tried against the true one: first, last and count."""
     seen = []
     design: Any = Stub(circuit=Stub(edges=[Stub(sign=1.0)], first=0, maps=None))
-    use = measures._Use(np.zeros(1), 1.0)
+    use = np.zeros(1), np.ones(1)
     with answers(measures, edge_flows=lambda _, at, *__: seen.append(float(-at[0]))):
         measures._true_correction(design, 0, use, np.ones(1), (1.0, 0.0))
     return min(seen), max(seen), len(seen)
@@ -645,13 +645,14 @@ def postures(length, off=0.0):
 
     def polished(_, line, *__):
         counts.append(len(line))
-        return np.arange(len(line))[:, None] % 2.0
+        return np.arange(len(line))[:, None] % 2.0, np.zeros(len(line))
 
     mover: Any = Stub(between=lambda point, q, index: before.append(1) or q, strokes=lambda q: q)
     mover.recipe, mover.motion = Stub(at=lambda *_: {}), Stub(where=())
+    mover.chain, mover.free = Stub(low=np.zeros(1), high=np.ones(1)), [True]
     mover.model = Stub(rig=Stub(shown=lambda *_: ""))
     ends: Any = np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
-    with answers(path, _polished=polished, _tip_slope=lambda _, q: np.full((len(q), 1), off)):
+    with answers(path, polish=polished, _tip_slope=lambda _, q: np.full((len(q), 1), off)):
         refused = refusal(lambda: path._leg(mover, ends, np.zeros(1), 1))
     return counts, refused, len(before)
 
@@ -690,7 +691,7 @@ def openings(flows=(1.0,) * 9, commands=(10.0,) * 9):
     with answers(measures, edge_onset=1.0):
         use = measures._use(design, 0, record, size)  # pyright: ignore[reportArgumentType]
     assert use is not None
-    return np.round(use.commands[[0, -1]], 3).tolist(), use.commands.size
+    return np.round(use[0][[0, -1]], 3).tolist(), use[0].size
 
 
 def used(share):

@@ -9,9 +9,9 @@ import pytest
 
 from ehbench.config.recipe import Measure, StudyRecipe
 from ehbench.sampling import statistics
-from ehbench.sampling.design import Design, Factor, Fitted
+from ehbench.sampling.design import Design, Drawn, Factor, Fitted
 from ehbench.sampling.journal import Journal
-from ehbench.sampling.keys import Key, changed_rig, changed_table
+from ehbench.sampling.keys import changed_rig, changed_table, key_of
 from ehbench.sampling.outputs import MeasureColumn, Rows, _parquet, hash_of, write_tables
 from ehbench.sampling.sample import Sample
 from ehbench.sampling.summary import Summary
@@ -49,8 +49,8 @@ def test_a_sample_hangs_on_its_number_alone(way):
 def test_draws_reproduce_the_covariance_they_came_from():
     std, shares = np.array([2e7, 0.3, 5e-3]), np.array([[1, 0.9, -0.4], [0.9, 1, 0], [-0.4, 0, 1]])
     mean = (9e8, 4.0, 0.1)
-    free = ((-math.inf, math.inf),) * 3
-    fitted = Fitted(("a", "b", "c"), mean, tuple(std), free, ("Pa", "", ""), shares)
+    units = zip("abc", mean, std, ("Pa", "", ""), strict=True)
+    fitted = Fitted([Drawn(f"rig.{key}", "normal", *about) for key, *about in units], shares)
     for way in ("random", "sobol"):
         count = 4096
         design = Design(study(samples=count, design=way, seed=1), fitted)
@@ -146,9 +146,9 @@ def test_a_recipe_takes_keys_through_lists_and_tables():
 
 
 def test_a_key_may_be_of_a_recipe_behind():
-    assert Key.of("steps.bench.delay", ["steps"]) == ("steps", "bench", "delay")
+    assert key_of("steps.bench.delay", ["steps"]) == ("steps", "bench", "delay")
     with pytest.raises(InputError, match="did you mean 'recipe.seed'"):
-        Key.of("recipes.seed")
+        key_of("recipes.seed")
 
 
 # --- what they say together

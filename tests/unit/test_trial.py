@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
+from ehbench.data import read_log
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.plant.model import simulate
@@ -654,7 +655,7 @@ def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):
         TrialSetRecipe(stage="trials", rig="x", motion=[p2p], controller=[arc, arc])
     laws = [arc, {**arc, "name": "ARC/2", "rig": "y"}, {**arc, "name": "arc 2"}]
     made = TrialSetRecipe(stage="trials", rig="x", motion=[p2p], controller=laws)
-    cases = [Case(name, one, None, None) for name, _, one in made.cases()]
+    cases = [Case(one.title, one, None, None) for one in made.cases()]
     assert [c.recipe.rig for c in cases] == ["x", "y", "x"]
     places = [c.recipe.controller.where for c in cases]
     assert places == [("controller", i) for i in range(3)]
@@ -697,25 +698,27 @@ def test_several_runs_give_medians_and_ranges():
     assert warning.fields == {"count": 1, "runs": 3}
 
 
-def test_a_set_runs_each_case_with_several_seeds(rig):
+def test_a_set_runs_each_case_with_several_seeds(rig, tmp_path):
     way = {"kind": "point_to_point", "waypoints": ["90 mm", "110 mm"], "speed": "200 mm/s"}
     given = {"stage": "trials", "rig": "x", "motion": [way | {"hold": "0.1 s"}], "seeds": 3}
     law = {"kind": "arc"}
     with pytest.raises(ValueError, match="'seeds' are of the virtual bench's sensors"):
         TrialSetRecipe(**given, controller=[law])
-    made = TrialSetRecipe(**given, on="bench", seed=7, controller=[law])
-    ((name, _, one),) = made.cases()
-    case = Case(name, one, rig, None, seeds=made.seeds)
+    given |= {"on": "bench", "seed": 7, "path": tmp_path / "set.toml"}
+    (tmp_path / "set.toml").touch()
+    made = TrialSetRecipe(**given, controller=[law])
+    (one,) = made.cases()
+    case = Case(one.title, one, rig, None, seeds=made.seeds)
     prepared = case.prepare()
-    found = case.run(prepared)
+    found = case.run(prepared, tmp_path / "log.mcap")
     alone = [run(prepared.seeded(seed)) for seed in (7, 8, 9)]
     errors = sorted(each.facts.measures["tracking"]["max_error"] for each in alone)
-    measures = found.account.facts.measures
+    measures = found.facts.measures
     assert len(set(errors)) == 3 and measures["tracking"]["max_error"] == errors[1]
     assert measures["range"]["tracking"]["max_error"] == [errors[0], errors[2]]
     kept = next(e for e in alone if e.facts.measures["tracking"]["max_error"] == errors[1])
-    assert np.array_equal(found.record["press.x"], kept.record["press.x"])
-    assert found.account.facts.seed == kept.facts.seed
+    assert np.array_equal(read_log(tmp_path / "log.mcap")["press.x"], kept.record["press.x"])
+    assert found.facts.seed == kept.facts.seed
     # the sensor's count and noise are no error of the stroke as it is
     assert measures["tracking_true"] != measures["tracking"]
 

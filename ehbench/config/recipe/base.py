@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field
 
 from ehbench.config.recipe.columns import AnyColumns
-from ehbench.config.recipe.toml import line_of
+from ehbench.config.recipe.toml import as_table, line_of
 from ehbench.runtime.disk import impossible
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
@@ -32,11 +32,6 @@ class BesideFile(FileModel):
     clock: Literal["shared", "own"] = "shared"
 
 
-def data_file(raw: Any) -> Any:
-    """A file's entry in a recipe, which may be its path alone, as a table."""
-    return {"path": raw} if isinstance(raw, str) else raw
-
-
 class DataFile(FileModel):
     """A log to use: its path, the payload carried (else what the log's own meta says), constant
     forces on rods by the channel of a force of the rig, a window of its time, a note, files beside
@@ -50,14 +45,10 @@ class DataFile(FileModel):
     stop: Annotated[Value, Q("stop")] | None = None
     note: str = ""
     columns: AnyColumns = None
-    beside: tuple[Annotated[BesideFile, BeforeValidator(data_file)], ...] = ()
+    beside: tuple[Annotated[BesideFile, as_table("path")], ...] = ()
 
 
-DataFiles = Annotated[
-    tuple[Annotated[DataFile, BeforeValidator(data_file)], ...], Field(min_length=1)
-]
-
-
+DataFiles = Annotated[tuple[Annotated[DataFile, as_table("path")], ...], Field(min_length=1)]
 Tied = Literal["none", "position", "motion"]
 Supplied = Literal["model", "recorded"]
 
@@ -70,7 +61,7 @@ class ReplayedFile(DataFile):
 
 
 ReplayedFiles = Annotated[
-    tuple[Annotated[ReplayedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+    tuple[Annotated[ReplayedFile, as_table("path")], ...], Field(min_length=1)
 ]
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from ehbench.config.recipe.toml import lines_of, read_toml, validated
+from ehbench.config.recipe.toml import as_table, lines_of, read_toml, validated
 from ehbench.vocabulary.errors import EhbenchError, InputError, UnitError
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
@@ -168,12 +168,7 @@ class Columns(FileModel):
         return names
 
 
-def columns_of(raw: Any) -> Any:
-    """A map named by its file alone, as a table."""
-    return {"file": raw} if isinstance(raw, str) else raw
-
-
-AnyColumns = Annotated[Columns | None, BeforeValidator(columns_of)]
+AnyColumns = Annotated[Columns | None, as_table("file")]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.config.recipe.base import Recipe, dotted
-from ehbench.config.recipe.toml import as_list
+from ehbench.config.recipe.toml import as_list, as_table
 from ehbench.config.rig.names import second
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
@@ -149,10 +149,6 @@ class Measure(FileModel):
         return f"{self.take} {what}" + (" since stop" if self.since == "stop" else "")
 
 
-def _measure(raw: Any) -> Any:
-    return {"result": raw} if isinstance(raw, str) else raw
-
-
 class Target(FileModel):
     """What a measure shall keep to: ``at_most``, ``at_least``, or both, with units."""
 
@@ -188,9 +184,7 @@ class StudyRecipe(Recipe):
     samples: int = Field(default=1, ge=1, le=100_000_000)
     seed: int = Field(default=0, ge=0, le=2**62)
     seeds: tuple[str, ...] = ()
-    measures: Annotated[
-        tuple[Annotated[Measure, BeforeValidator(_measure)], ...], Field(min_length=1)
-    ]
+    measures: Annotated[tuple[Annotated[Measure, as_table("result")], ...], Field(min_length=1)]
     target: tuple[Target, ...] = ()
     worst: str | None = None
     keep: int = Field(default=3, ge=0, le=1000)

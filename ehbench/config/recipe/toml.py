@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from ehbench.runtime.disk import read_bytes
 from ehbench.vocabulary.errors import InputError, nearest, raise_all
@@ -158,6 +158,11 @@ def table_of(text: str, path: Path) -> dict[str, Any]:
 def as_list(raw: Any) -> Any:
     """One text, or one table, as a list of one."""
     return [raw] if isinstance(raw, str | dict) else raw
+
+
+def as_table(key: str) -> BeforeValidator:
+    """Takes a text in place of a table for the table with that text as its ``key``."""
+    return BeforeValidator(lambda raw: {key: raw} if isinstance(raw, str) else raw)
 
 
 def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:

@@ -536,8 +536,8 @@ class TrialSetRecipe(AnyTrial):
             refuse_unmatched(law, self.motion)
         return self
 
-    def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
-        """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
+    def cases(self) -> tuple[TrialRecipe, ...]:
+        """The recipe of each trial by its name, payloads outermost, controllers innermost."""
         shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
         machines = [*enumerate(self.machine)] or [(0, None)]
         cases = []
@@ -548,11 +548,12 @@ class TrialSetRecipe(AnyTrial):
             if machine is not None:
                 message = f"{message}, {machine.name}"
                 machine = machine.model_copy(update={"where": ("machine", n)})
-            name = " ".join([payload if payload != "none" else "no load", message, law.label])
             keys = ("rig", "flow_maps", "bench", "dynamics", "supply")
-            machine_keys = {key: value for key in keys if (value := getattr(law, key))}
+            own = {key: value for key in keys if (value := getattr(law, key))}
+            load = payload if payload != "none" else "no load"
+            own["title"] = " ".join([load, message, law.label])
             case = TrialRecipe.model_construct(
-                **{**shared, **machine_keys},
+                **{**shared, **own},
                 stage="trial",
                 payload=None if payload == "none" else payload,
                 path=self.path,
@@ -560,5 +561,5 @@ class TrialSetRecipe(AnyTrial):
                 controller=law.model_copy(update={"where": ("controller", c)}),
                 motion=motion.model_copy(update={"where": ("motion", m), "name": message}),
             )
-            cases.append((name, law, case.model_copy(update={"title": name})))
+            cases.append(case)
         return tuple(cases)

@@ -10,10 +10,10 @@ from ehbench.config.recipe.base import (
     ReplayedFile,
     Supplied,
     Tied,
-    data_file,
 )
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
+from ehbench.config.recipe.toml import as_table
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FileModel, Q, Value, read_value
 from ehbench.vocabulary.messages import message
@@ -132,9 +132,7 @@ class Reference(FileModel):
         return self.model_dump(exclude={"value"}) | {"value": float(self.value)}
 
 
-JudgedFiles = Annotated[
-    tuple[Annotated[JudgedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
-]
+JudgedFiles = Annotated[tuple[Annotated[JudgedFile, as_table("path")], ...], Field(min_length=1)]
 
 
 class ValidateRecipe(Recipe):
