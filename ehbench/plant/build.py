@@ -172,11 +172,6 @@ def _link(joint: Joint) -> dict[str, Any]:
     moments: Any = joint.inertia.value
     xx, yy, zz, xy, xz, yz = moments
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if np.linalg.eigvalsh(inertia).min() < 0 or float(joint.mass) < 0:
-        raise InputError(
-            f"the inertia of link '{joint.name}' is that of no body: it has a negative "
-            "principal moment"
-        )
     com: Any = joint.com.value
     return arm.pack_link(
         float(joint.dh_a),
