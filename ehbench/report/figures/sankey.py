@@ -10,7 +10,7 @@ import numpy as np
 
 from ehbench.report.figures.energy import Ledger, energy_text, half_of, unit_for
 from ehbench.report.saved import grouped
-from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, swatch
+from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, spread, swatch
 
 # colour and name of each group of rows
 GROUPS = {
@@ -153,16 +153,6 @@ def _gathered(flows: Sequence[_Flow], small: float) -> list[_Flow]:
     return retained
 
 
-def _apart(wanted: Sequence[float], sizes: Sequence[float]) -> np.ndarray:
-    """Middles of slots of these sizes, one below the other inside 0…1, as near to what is wanted as
-    that allows."""
-    from scipy.optimize import isotonic_regression
-
-    below = np.cumsum(sizes) - 0.5 * np.asarray(sizes)
-    room = max(1.0 - sum(sizes), 0.0)
-    return 1.0 - below - isotonic_regression(np.clip(1.0 - below - wanted, 0.0, room)).x
-
-
 class _Layout:
     """Where ribbons and nodes stand: columns from the leaves at the right to the sources."""
 
@@ -172,9 +162,9 @@ class _Layout:
         places = {MECHANISM: 0.14 if drives else 0.62, SUPPLY: 0.14}
         self.x = {name: places.get(name, 0.41) for name in names}  # of each node
         order, ranks = sorted(names, key=lambda n: -self.x[n]), list(GROUPS)
-        leaves = sorted(
+        leaves = sorted(  # from the bottom to the top
             (flow for flow in flows if flow.end is None),
-            key=lambda f: (order.index(f.start or ""), -ranks.index(f.group), -f.energy),
+            key=lambda f: (-order.index(f.start or ""), ranks.index(f.group), f.energy),
         )
         sources = [flow for flow in flows if flow.start is None]
         self.tall = max(0.23 * len(leaves), 0.5 * len(sources)) + 1.8  # [in]
@@ -188,7 +178,7 @@ class _Layout:
         self.middle: dict[str, float] = {}  # of each node
         self.size: dict[str, float] = {}
         slots = [f.energy * self.scale + line for f in leaves]
-        self.outer |= zip(leaves, _apart([0.5] * len(leaves), slots), strict=True)
+        self.outer |= zip(leaves, spread([0.5] * len(leaves), slots, 0.0, 1.0), strict=True)
         for x in sorted(set(self.x.values()), reverse=True):
             wanted: dict[str, float] = {}
             for name in (name for name in names if self.x[name] == x):
@@ -200,13 +190,13 @@ class _Layout:
                 ends = [(self.outer[f] if f.end is None else self.middle[f.end]) for f in out]
                 moment = sum(y * f.energy for y, f in zip(ends, out, strict=True))
                 wanted[name] = moment / weight if weight > 0.0 else 0.5
-            column = sorted(wanted, key=lambda name: -wanted[name])
-            slots = [self.size[name] + 2.0 * line for name in column]  # room for their names
-            self.middle |= zip(column, _apart([wanted[n] for n in column], slots), strict=True)
-        sources.sort(key=lambda f: (-self.middle[f.end or ""], -f.energy))
+            slots = [self.size[name] + 2.0 * line for name in wanted]  # room for their names
+            places = spread([*wanted.values()], slots, 0.0, 1.0)
+            self.middle |= zip(wanted, places, strict=True)
+        sources.sort(key=lambda flow: flow.energy)
         slots = [f.energy * self.scale + two for f in sources]
-        wanted_ends = [self.middle[f.end or ""] for f in sources]
-        self.outer |= zip(sources, _apart(wanted_ends, slots), strict=True)
+        places = spread([self.middle[f.end or ""] for f in sources], slots, 0.0, 1.0)
+        self.outer |= zip(sources, places, strict=True)
 
 
 def sankey(path: Path, ledger: Ledger) -> None:
