@@ -86,8 +86,8 @@ def served(
         raise InputError(message("links.no_bench"), file=file)
     place = on or (recipe.on if "://" not in recipe.on else "bench" if recipe.bench else "model")
     links = tuple(fault for fault in recipe.fault if fault.kind in LINK_FAULTS)
-    changes: dict[str, Any] = {"on": place, "fault": ()}
-    changes["fault"] = tuple(fault for fault in recipe.fault if fault not in links)
+    others = tuple(fault for fault in recipe.fault if fault not in links)
+    changes: dict[str, Any] = {"on": place, "fault": others}
     changes |= {} if rate is None else {"rate": Value(rate)}
     recipe = recipe.model_copy(update=changes)
     session = workflow.Session(allow_code=allow_code)

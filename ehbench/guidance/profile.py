@@ -6,8 +6,7 @@ flat or has a second valley, the interval does not."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,10 +39,6 @@ class Profile:
     ends: tuple[float | None, float | None]
     followed: dict[str, tuple[float, ...]]
     shape: str
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values for `rundir.write_json`."""
-        return asdict(self)
 
 
 def profile(

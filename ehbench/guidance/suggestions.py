@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -118,10 +117,6 @@ class Suggestion:
         """Its changes in a sentence, the last first: terminals cut the end, which rows share."""
         return " and ".join(reversed(self.changes)) or "the recipe as it is"
 
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, eq=False)
 class Suggestions:
@@ -165,7 +160,7 @@ class Suggestions:
                 *([message("guidance.untried", names=untried)] if untried else []),
             ],
             written,
-            {"rows": [row.as_json() for row in self.rows], "untried": self.untried},
+            {"rows": [asdict(row) for row in self.rows], "untried": self.untried},
             rows=SHOWN,
         )
 

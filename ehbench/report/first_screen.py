@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,7 +65,21 @@ def first_screen(chapters: Sequence[Chapter]) -> list[Block]:
     cards = cards_of(chapters)
     blocks: list[Block] = [Cards(cards)] if cards else []
     blocks += _verdict(chapters, 4)
-    blocks += _figure(chapters)
+    # the first figure of the furthest run with one, preferring machines
+    drawn = [chapter for chapter in reversed(chapters) if chapter.findings.figures]
+    machine = [c for c in drawn if not any(number.on_model for number in c.findings.numbers)]
+    pictures = (
+        (picture, chapter.run.title)
+        for chapter in [*machine, *drawn]
+        for key in chapter.findings.figures
+        for picture in chapter.pictures(**key)[:1]
+    )
+    if first := next(pictures, None):
+        picture, title = first
+        svg = re.sub(r'id="|href="#|url\(#', r"\g<0>first-", picture.svg)  # ids of its own
+        caption = _PAGE.text("again", name=title)
+        again = {"id": "first-figure", "caption": caption, "paper": True}
+        blocks.append(replace(picture, svg=svg, **again))
     if steps := next_steps(chapters)[:4]:
         texts = [f"{capital(step)}: {step.hint}" if step.hint else sentence(step) for step in steps]
         blocks += [Text(_PAGE.text("next_head"), "head"), Bullets(texts)]
@@ -157,24 +172,6 @@ def logs_judged(run: Saved) -> set[str]:
         for digest, log in zip(digests, logs)
         if log["status"] == "held_out"
     }
-
-
-def _figure(chapters: Sequence[Chapter]) -> list[Block]:
-    """The first figure of the furthest run with one, preferring machines, with other ids."""
-    prefix = "first-"
-    order = [chapter for chapter in chapters if chapter.findings.figures]
-    machine = [c for c in order if not any(number.on_model for number in c.findings.numbers)]
-    for chapter in [*reversed(machine), *reversed(order)]:
-        for key in chapter.findings.figures:
-            for picture in chapter.pictures(**key)[:1]:
-                svg = picture.svg
-                for text in ('id="', 'href="#', "url(#"):
-                    svg = svg.replace(text, text + prefix)
-                caption = _PAGE.text("again", name=chapter.run.title)
-                return [
-                    replace(picture, svg=svg, id=f"{prefix}figure", caption=caption, paper=True)
-                ]
-    return []
 
 
 def next_steps(chapters: Sequence[Chapter]) -> list[Message]:

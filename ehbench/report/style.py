@@ -121,15 +121,21 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = 320) -> tuple[np.ndarray, 
     return t[places], y[places]
 
 
-def spread(places: Sequence[float], gap: float, low: float, high: float) -> np.ndarray:
-    """Places moved apart to ``gap``, in order and inside low…high, as little as it takes."""
+def spread(
+    places: Sequence[float], sizes: float | Sequence[float], low: float, high: float
+) -> np.ndarray:
+    """Middles of slots of these sizes, moved from their places until none lies on another, in order
+    and inside low…high, as little as it takes; smaller where there is no room.
+    """
     from scipy.optimize import isotonic_regression
 
     order = np.argsort(places, kind="stable")
-    ramp = min(gap, (high - low) / max(len(places) - 1, 1)) * np.arange(len(places))
-    firsts = isotonic_regression(np.clip(np.take(places, order), low, high) - ramp).x
+    slots = np.broadcast_to(sizes, len(places))[order]
+    slots = slots * min(1.0, (high - low) / max(float(slots.sum()), 1e-12))
+    ramp = low + np.cumsum(slots) - 0.5 * slots
+    firsts = isotonic_regression(np.take(places, order) - ramp).x
     moved = np.empty(len(places))
-    moved[order] = np.clip(firsts, low, high - ramp[-1]) + ramp
+    moved[order] = np.clip(firsts, 0.0, max(high - low - float(slots.sum()), 0.0)) + ramp
     return moved
 
 

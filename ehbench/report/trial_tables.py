@@ -154,24 +154,17 @@ def _by_controller(
     for name in names:
         of, _, word = name.rpartition(".")
         row = row_of(name)
-        cells = [
-            _span_cell(rig, name, [table[name] for table in item if name in table])
-            for item in tables.values()
-        ]
+        cells = []
+        for item in tables.values():
+            values = [table[name] for table in item if name in table]
+            pairs = [value if isinstance(value, list) else (value, value) for value in values]
+            # over all trials; a pair as ``low … high``
+            spans = [span([shown(rig, name, e) for e in ends]) for ends in zip(*pairs, strict=True)]
+            cells.append(num(" … ".join(dict.fromkeys(spans)) or DASH))
         meaning = f"{words(of)}: {row.meaning}" if of else row.meaning
         unit = pretty(unit_of(rig, word))
         rows.append([Cell(symbol_of(rig, word), "name"), meaning, *cells, unit])
     return (["", "", *(words(name) for name in tables), "unit"], rows) if rows else None
-
-
-def _span_cell(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
-    """A number of a controller over all trials, as a span; a pair as ``low … high``."""
-    if not values:
-        return num(DASH)
-    pairs = [value if isinstance(value, list) else (value, value) for value in values]
-    lows, highs = zip(*pairs, strict=True)
-    low, high = (span([shown(rig, name, end) for end in ends]) for ends in (lows, highs))
-    return num(low if lows == highs else f"{low} … {high}")
 
 
 def _toml_text(value: Any) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -173,7 +173,7 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
     with filling(folder) as scratch:
         write_rig(scratch, setup.rig, prepared.state.flow_maps)
         write_text(scratch / recipe.path.name, tomli_w.dumps(table))
-        rundir.write_json(scratch / "suggestions.json", [row.as_json() for row in result.rows])
+        rundir.write_json(scratch / "suggestions.json", [asdict(row) for row in result.rows])
     return folder / recipe.path.name
 
 

@@ -1,6 +1,6 @@
 """The next test after a fit: what it would tell, as lines, as plain values and as a recipe."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     with rundir.open_run(final, recipe.stage_name, recipe.path, files, versions=versions) as run:
         fit, result = profile(prepared.fit, name, host.progress_of(recipe.name))
         write_rig(run.path, fit.rig, prepared.state.flow_maps)
-        rundir.write_json(run.path / "profile.json", result.as_json())
+        rundir.write_json(run.path / "profile.json", asdict(result))
         run.facts |= {"what": "profile", "title": f"Profile of {name}", "rig": fit.rig.name}
         run.facts |= {"warnings": list(fit.warnings), "code": DONE, "notes": list(fit.warnings)}
         run.save()

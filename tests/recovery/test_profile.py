@@ -1,6 +1,7 @@
 """Profile likelihoods: a parabola where the interval is right, open where the logs set no end."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def test_the_profile_of_a_plain_parameter_is_the_parabola_of_its_interval(prepar
     assert found.ends == pytest.approx(own.interval, abs=tenth)
     assert min(found.rise) == 0.0 and found.rise[0] > LEVEL_95 < found.rise[-1]
     assert set(found.followed) == {"press.volume_head", "carriage.damping"}
-    assert json.loads(json.dumps(found.as_json(), allow_nan=False))["shape"] == "parabola"
+    assert json.loads(json.dumps(asdict(found), allow_nan=False))["shape"] == "parabola"
 
 
 def test_the_others_are_fitted_again_along_a_profile(prepared):

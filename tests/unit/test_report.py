@@ -258,11 +258,12 @@ def test_labels_are_moved_apart_in_order_and_stay_where_there_is_room():
     for count in (1, 2, 7, 40, 400):
         places = np.random.default_rng(count).normal(0.5, 0.05, count)
         moved = np.array(spread(places, 0.03, 0.0, 1.0))
-        gap = min(0.03, 1.0 / max(count - 1, 1))
+        gap = min(0.03, 1.0 / count)
         assert np.all(np.diff(moved[np.argsort(places, kind="stable")]) >= gap - 1e-9), count
-        assert moved.min() >= -1e-9 and moved.max() <= 1 + 1e-9, count
+        assert moved.min() >= 0.5 * gap - 1e-9 and moved.max() <= 1.0 - 0.5 * gap + 1e-9, count
     assert spread([0.9, 0.1, 0.5], 0.05, 0.0, 1.0) == pytest.approx([0.9, 0.1, 0.5])
     assert spread([0.5, 0.5], 0.1, 0.0, 1.0) == pytest.approx([0.45, 0.55])
+    assert spread([0.6, 0.5, 0.9], [0.4, 0.2, 0.2], 0.0, 1.0) == pytest.approx([0.6, 0.3, 0.9])
 
 
 SPELLED = [

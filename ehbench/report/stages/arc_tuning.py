@@ -94,24 +94,22 @@ def findings(run: Saved) -> Findings:
     label = f"Delay margin, stated, {words(tuning['cylinder'])}"
     value = measure(run.rig, "delay_margin", tuning["delay_margin"], 2)
     numbers = [Headline(OFTEN, label, value, page.text("margins", tuning=tuning))]
-    against = [] if tuning["met"] else [page.text("margins_missed")]
-    steps = [message("steps.smaller_margins", keys=_reached(run.rig, tuning))] if against else []
-    return Findings(numbers, [{"kind": "margins"}], against, steps)
-
-
-def _reached(rig: Rig, tuning: Table) -> str:
-    """Lines of a recipe that ask for what was reached of the margins that were missed; '' where
-    the loop swings with any bandwidths."""
-    lines = []
-    for name, demand in tuning["constraints"].items():
-        value, row = tuning.get(name), row_of(name)
-        if value is None or value >= demand:
-            continue
-        if value <= row.lower:
-            return ""
-        unit = unit_of(rig, name).replace("dimensionless", "")
-        lines.append(f'{name} = "{rounded_down(shown(rig, name, value)):g} {unit}'.rstrip() + '"')
-    return "\n".join(lines)
+    if tuning["met"]:
+        return Findings(numbers, [{"kind": "margins"}])
+    missed = {
+        name: value
+        for name, demand in tuning["constraints"].items()
+        if (value := tuning.get(name)) is not None and value < demand
+    }
+    if any(value <= row_of(name).lower for name, value in missed.items()):
+        missed = {}  # the loop swings with any bandwidths
+    lines = []  # of a recipe, that ask for what was reached
+    for name, value in missed.items():
+        unit = unit_of(run.rig, name).replace("dimensionless", "")
+        reached = f"{rounded_down(shown(run.rig, name, value)):g} {unit}".rstrip()
+        lines.append(f'{name} = "{reached}"')
+    steps = [message("steps.smaller_margins", keys="\n".join(lines))]
+    return Findings(numbers, [{"kind": "margins"}], [page.text("margins_missed")], steps)
 
 
 REPORT = StageReport(

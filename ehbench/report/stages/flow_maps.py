@@ -95,7 +95,7 @@ def draw_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
         handles += _outliers(main, rig, points, limits)
         tall = limits[1] - limits[0]
         names = [y for y, _ in ends.values()]
-        places = spread(names, 0.034 * tall, limits[0] + 0.01 * tall, limits[1])
+        places = spread(names, 0.034 * tall, limits[0] - 0.007 * tall, limits[1] + 0.017 * tall)
         across = main.get_yaxis_transform()
         for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
             leader: Look = {"color": colour, "linewidth": 0.7, "transform": across}

@@ -102,36 +102,30 @@ def draw(run: Saved, index: FigureIndex) -> None:
     title = "Damping ratio over the feedback gain"
     path = index.add("damping_over_gain", title, caption, "damping")
     damping_over_gain(path, rig, tuning)
+    points = {point["name"]: point for point in tuning["points"]}
+    counting = {item["point"]["function"] for item in counted(tuning)}
     for function in function_names(tuning):
-        _draw_function(page, tuning, function, index)
+        whose, counts = f"{cylinder}, {words(function)}", function in counting
+        about = {"function": function, "counts": "yes" if counts else "no"}
+        loci, steps = (
+            [item for item in tuning[key] if points[item["name"]]["point"]["function"] == function]
+            for key in ("loci", "steps")
+        )
+        for parameter, lead, text in _LOCI:
+            if drawn := [item for item in loci if item["parameter"] == parameter]:
+                caption = page.text("locus", loci=drawn, by_name=points, counts=counts)
+                key, title = f"{lead}_{function}", f"{text}: {whose}"
+                path = index.add(key, title, caption, "locus", **about)
+                root_locus.loci(path, drawn, points)
+        if steps:
+            caption = page.text("steps", steps=steps, by_name=points, overshoot=overshoot_of)
+            title, key = f"Step response: {whose}", f"step_response_{function}"
+            path = index.add(key, title, caption, "step_response", **about)
+            draw_steps(path, steps, points)
     if (draws := tuning["robustness"])["draws"]:
         title = "Worst damping ratio over draws of the identified parameters"
         caption = page.text("draws", draws=draws, target=tuning["target"])
         draw_draws(index.add("draws", title, caption, "draws"), tuning)
-
-
-def _draw_function(page: Template, tuning: Table, function: str, index: FigureIndex) -> None:
-    """Root loci and step responses of one working function."""
-    by_name = {point["name"]: point for point in tuning["points"]}
-    counts = any(item["point"]["function"] == function for item in counted(tuning))
-    whose = f"{words(tuning['cylinder'])}, {words(function)}"
-    about = {"function": function, "counts": "yes" if counts else "no"}
-
-    def of_function(key: str) -> list[Table]:
-        return [r for r in tuning[key] if by_name[r["name"]]["point"]["function"] == function]
-
-    for parameter, lead, text in _LOCI:
-        loci = [item for item in of_function("loci") if item["parameter"] == parameter]
-        if loci:
-            caption = page.text("locus", loci=loci, by_name=by_name, counts=counts)
-            key, title = f"{lead}_{function}", f"{text}: {whose}"
-            path = index.add(key, title, caption, "locus", **about)
-            root_locus.loci(path, loci, by_name)
-    if steps := of_function("steps"):
-        caption = page.text("steps", steps=steps, by_name=by_name, overshoot=overshoot_of)
-        title, key = f"Step response: {whose}", f"step_response_{function}"
-        path = index.add(key, title, caption, "step_response", **about)
-        draw_steps(path, steps, by_name)
 
 
 _BLACK = "#111827"
