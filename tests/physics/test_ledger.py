@@ -768,3 +768,13 @@ def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
     for half, known in ((480.0, True), (500.0, False)):
         ledger["rows"][0]["interval"] = [-half, half]
         assert is_known(ledger) == known
+
+
+def test_pictures_let_the_mechanism_pay_for_what_the_ledger_has_it_pay_for():
+    from ehbench.ledger.sheet import MECHANICAL
+    from ehbench.report.figures.sankey import _leaf
+
+    for word in (*MECHANICAL, "mechanism"):
+        row = {"name": f"boom.{word}", "cylinder": "boom", "group": "loss", "energy": 1.0}
+        leaf = _leaf(row | {"label": word, "half": 0.0}, True)
+        assert leaf is not None and "mechanism" in (leaf.start, leaf.end), word

@@ -26,7 +26,7 @@ _COLOURS = {SUPPLY: GROUPS["supply"][0], MECHANISM: GROUPS["load"][0]}  # of nod
 _BAR, _END = 0.022, 0.92  # width of a node, and where the leaves are
 _SMALL = 0.012  # share of all energy below which a row is drawn together with others
 _MECHANICAL = (
-    *("friction", "friction_spring", "end_stop", "stop", "damping"),
+    *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
     *("mount", "mount_spring", "sway", "swaying", "mechanism"),
 )
 
