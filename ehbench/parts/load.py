@@ -102,4 +102,22 @@ FAULTS = (
     Fault("spring", ("stiffness",), step=0.05, rank=5),
     Fault("spring", ("free_length",), step=0.05, rank=5),
 )
+# a spring that nobody wrote down, free at mid-stroke until a fit moves that
+SPRING = Fault(
+    "outer spring",
+    ("force.stiffness", "force.free_length"),
+    unit="spring",
+    step=1.0e-3,
+    low=0.0,
+    high=0.5,
+    trials=(0.003, 0.01, 0.03),
+    rank=5,
+    table="force",
+    adds={
+        "kind": "spring",
+        "stiffness": Amount((0.01,), "spring", "N/m", (1.0e-3, 100.0)),
+        "free_length": Amount((0.5,), "stroke", "m"),
+    },
+    moved=("force.stiffness",),
+)
 PAYLOAD = (Fault("payload", ("mass",), step=0.05, rank=4, wide=True),)

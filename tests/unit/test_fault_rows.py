@@ -86,3 +86,18 @@ def test_of_an_fmu_is_asked_what_it_takes_and_its_sensors():
     assert numbers == {"bulk_modulus", "carriage.mass"}
     assert {"late command", "sensor lag", "neutral"} <= {kind for kind, _ in rows}
     assert not any(row.edits and not row.readings for row in rows.values())
+
+
+def test_a_spring_on_the_rod_that_nobody_wrote_down():
+    """Asked of a cylinder without forces, and gone where its rig file has one."""
+    rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",))
+    row, rig = rows["outer spring", "press"], shipped("slide_servo")
+    assert row.parameters == ("press.force.stiffness", "press.force.free_length")
+    (spring,) = row.rig(rig, 0.01).cylinder[0].force
+    assert (spring.kind, float(spring.free_length)) == ("spring", pytest.approx(0.2))
+    assert float(spring.stiffness) == pytest.approx(0.01 * row.numbers[0].unit)
+    assert row.rig_lines(rig)[0].startswith("# in [[cylinder]] press:\nforce = [{ kind =")
+    record = Record(T, {"press.servo.command": LEVELS})
+    asked = hypotheses(row.altered(rig), ["press"], [], [record])
+    kinds = {(item.kind, item.about) for item in asked if "spring" in item.kind}
+    assert kinds == {("spring", "press.force.stiffness"), ("spring", "press.force.free_length")}

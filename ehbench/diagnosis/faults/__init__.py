@@ -65,7 +65,7 @@ TABLE: dict[type, tuple[Fault, ...]] = {
     Slide: load.FAULTS,
     Force: load.FAULTS,
     LinkLoad: load.PAYLOAD,
-    Cylinder: (*friction.FAULTS, *cylinder.FAULTS, *mount.FAULTS, *sway.FAULTS),
+    Cylinder: (*friction.FAULTS, *cylinder.FAULTS, *mount.FAULTS, *sway.FAULTS, load.SPRING),
     Line: line.FAULTS,
     Valve: (*valve.FAULTS, *valve.SPOOL),
     DynamicsTable: (*second_order.FAULTS, *first_order.FAULTS),
@@ -217,7 +217,8 @@ class _Rows:
         present = [name for name in names if name in self.known]
         if not adds and len(present) < len(names):
             return None
-        if adds and (scales.empty or (fault.table and getattr(part, fault.table) is not None)):
+        there = getattr(part, fault.table) if adds and fault.table else None
+        if adds and (scales.empty or there not in (None, ())):
             return None
         numbers = tuple(
             Number.of(fault, key, name, self.known.get(name), scales)
@@ -231,6 +232,7 @@ class _Rows:
                 for key in fault.keys
                 if key == "friction_coulomb"
             }
+            content = {fault.table: [content]} if there == () else content
             edits = ((place, fault.table, content, also),)
         about = self._about(prefix, part, fault, names)
         owner = "" if fault.wide else scales.cylinder.name

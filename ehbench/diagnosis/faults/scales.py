@@ -30,7 +30,7 @@ class Scales:
     an end comes to · ``force``: of that pressure · ``leakage``: of 10 mm/s at it · ``spring``: of
     the oil at mid-stroke [N/m] · ``load``: the least mass that moves · ``damper``: their impedance
     [N·s/m] · ``friction``: where a search begins · ``coulomb``: of the rig · ``swept``: by the
-    piston at its head end [m³] · ``spread``: of the channel.
+    piston at its head end [m³] · ``stroke``: of the cylinder · ``spread``: of the channel.
     """
 
     def __init__(
@@ -122,6 +122,10 @@ class Scales:
     @cached_property
     def swept(self) -> float:
         return self.cylinder.areas()[0] * float(self.cylinder.stroke)
+
+    @cached_property
+    def stroke(self) -> float:
+        return float(self.cylinder.stroke)
 
     @cached_property
     def coulomb(self) -> float:
