@@ -8,16 +8,13 @@ from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Fold, Part, Text
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
 from ehbench.report.saved import FigureIndex, Saved, Table
-from ehbench.report.stages.tuning import supply_blocks
+from ehbench.report.stages.tuning import reached_demands, supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
 from ehbench.report.template import Template
 from ehbench.report.words import (
     axis,
     measure,
-    rounded_down,
-    row_of,
     shown,
-    unit_of,
     words,
 )
 from ehbench.vocabulary.messages import message
@@ -95,23 +92,9 @@ def findings(run: Saved) -> Findings:
     value = measure(run.rig, "delay_margin", tuning["delay_margin"], 2)
     numbers = [Headline(OFTEN, label, value, page.text("margins", tuning=tuning))]
     against = [] if tuning["met"] else [page.text("margins_missed")]
-    steps = [message("steps.smaller_margins", keys=_reached(run.rig, tuning))] if against else []
+    keys = reached_demands(run.rig, tuning["constraints"], tuning)
+    steps = [message("steps.smaller_margins", keys=keys)] if against else []
     return Findings(numbers, [{"kind": "margins"}], against, steps)
-
-
-def _reached(rig: Rig, tuning: Table) -> str:
-    """Lines of a recipe that ask for what was reached of the margins that were missed; '' where
-    the loop swings with any bandwidths."""
-    lines = []
-    for name, demand in tuning["constraints"].items():
-        value, row = tuning.get(name), row_of(name)
-        if value is None or value >= demand:
-            continue
-        if value <= row.lower:
-            return ""
-        unit = unit_of(rig, name).replace("dimensionless", "")
-        lines.append(f'{name} = "{rounded_down(shown(rig, name, value)):g} {unit}'.rstrip() + '"')
-    return "\n".join(lines)
 
 
 REPORT = StageReport(
