@@ -57,7 +57,8 @@ app = typer.Typer(
     help="Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; "
     "flow maps, bulk modulus and\ndamping with error bars, a judged model and a report out.\n\n"
     "Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, "
-    "4 model rejected or data not sufficient,\n5 a trial stopped on a limit.",
+    "4 model rejected, a tuning's demands missed or data not sufficient,\n5 a trial stopped on a "
+    "limit.",
     epilog="Example:  ehbench reproduce thesis",
 )
 

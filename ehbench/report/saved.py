@@ -287,7 +287,8 @@ def read_series(path: Path) -> Series:
         else:
             sides["recorded" if channel == full else "simulated"][channel] = values
     if t is None:
-        raise InputError(message("report.no_column", name="t [s]", columns=""), file=path, line=1)
+        there = ", ".join(table.header)
+        raise InputError(message("data.no_column", name="t [s]", there=there), file=path, line=1)
     return Series(t, **sides)
 
 
@@ -315,7 +316,7 @@ def read_points(path: Path) -> Points:
     values_of: dict[str, np.ndarray] = {}
     for name in Points.__dataclass_fields__:
         if name not in columns:
-            text = message("report.no_column", name=name, columns="it has " + ", ".join(columns))
+            text = message("data.no_column", name=name, there=", ".join(columns))
             raise InputError(text, file=path, line=1)
         place, unit = columns[name]
         if name in ("valve", "direction", "method"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
@@ -63,7 +64,8 @@ class Summary:
         first = self.targets[0]["measure"] if self.targets else names[0]
         name = recipe.worst or first
         if name not in names:
-            text = message("sampling.no_measure", name=name, known=", ".join(names))
+            near = get_close_matches(name, names, 1, 0.3) or names
+            text = message("sampling.no_measure", name=name, near=", ".join(near))
             raise InputError(text, **recipe.at("worst"))
         low = any(
             t["measure"] == name and "at_least" in t and "at_most" not in t for t in self.targets

@@ -348,7 +348,7 @@ def _target(recipe: StudyRecipe, index: int, measures: tuple[MeasureColumn, ...]
     if column is None:
         names = [column.name for column in measures]
         near = get_close_matches(item.measure, names, 1, 0.3)
-        text = message("stages.no_measure", name=item.measure, near=", ".join(near or names))
+        text = message("sampling.no_measure", name=item.measure, near=", ".join(near or names))
         raise InputError(text, **recipe.at("target", index, "measure"))
     ends = {}
     for key in ("at_most", "at_least"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.runs import rundir
-from ehbench.stages.base import Prepared, Stage, Work, write_rig
+from ehbench.stages.base import DONE, REJECTED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, ValidatedRig
 from ehbench.vocabulary.errors import InsufficientData, ModelRejected
 from ehbench.vocabulary.messages import message
@@ -80,7 +80,10 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
         reservations = state.saved("validation").get("reservations", [])
         if reservations:
             warnings.insert(0, message("stages.tuned_with_reservation", reason=reservations[0]))
-        return Work(facts | {"reservations": reservations})
+        reasons = [] if tuning.met else [message("stages.demands_missed")]
+        return Work(
+            facts | {"reservations": reservations}, reasons, DONE if tuning.met else REJECTED
+        )
 
 
 class TuningStage(_AnyTuningStage[TuneRecipe]):

@@ -159,3 +159,8 @@ def test_commands_without_a_run_have_json_as_well(words, inside, tmp_path):
     known = json.loads(inside(*words, "--json", cwd=tmp_path).stdout)
     assert {"verdict", "steps", "notes", "folder"} <= known.keys()
     assert known["verdict"]["key"].startswith("app.") and (tmp_path / known["folder"]).exists()
+
+
+def test_a_verbose_check_as_json_is_json_alone(inside):
+    done = inside("check", ROOT / "recipes/rigs/slide_servo.toml", "-v", "--json")
+    assert json.loads(done.stdout)["lines"][0].startswith("rig 'slide_servo'")

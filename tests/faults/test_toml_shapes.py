@@ -31,6 +31,7 @@ HEAD = 'stage = "trial"\nrig = "rig.toml"\n'
         ('stage = "' + "x" * 5000 + '"', "unknown stage", 1),
         ('stage = "identify"\nwhat.x = 1', "unknown what = {'x': 1}", 2),
         ('stage = "identify"\nwhat = []', r"unknown what = \[\]", 2),
+        ('stage = "validate"\npayload = "a"', "a key of 'data'", 2),
         ('stage = "tune"\nwhat = "arcs"', "what = 'arcs' .what is one of arc, or left out", 2),
         ('stage = "trial"\nwhat = "arc"', "unknown key 'what'", 2),
         ('stage = "trial"\nrig = "a', "close the quotes", 2),

@@ -572,6 +572,19 @@ def test_what_a_name_says_is_guessed(tmp_path):
     assert not any(guess.sure for name, guess in guesses.items() if not guess.channel)
 
 
+def test_a_command_of_no_named_valve_is_of_none_of_several(tmp_path):
+    names = ["Valve 1 cmd [V]", "boom ht valve [V]", "sr [V]"]
+    rows = "".join(f"{n % 7},{n % 5},{n % 3}\n" for n in range(50))
+    (tmp_path / "a.csv").write_text(f"{','.join(names)}\n{rows}")
+    found = mapping.guessed(
+        open_source(tmp_path / "a.csv"), load_rig(RIG.with_stem("boom_four_valve"))
+    )
+    channels = [f"boom.{name}.command" for name in ("valve", "ht", "sr")]
+    assert [found[name].channel for name in names] == channels
+    assert found[names[0]].remark.key == "app.which_valve"
+    assert [found[name].sure for name in names] == [False, True, False]
+
+
 def test_a_clock_that_begins_again_is_named_as_one(tmp_path):
     """It is the time still, and what is wrong with it stands beside it and in the refusal."""
     rows = "".join(f"{0.01 * (n % 300):.2f},{50 + n % 7}\n" for n in range(500))

@@ -297,6 +297,26 @@ def test_rows_without_a_time_have_the_one_that_the_facts_above_say(tmp_path):
     assert open_source(tmp_path / "a.csv").tables[0].t is None
 
 
+def test_a_header_alone_is_said(tmp_path):
+    path = tmp_path / "a.csv"
+    for text, key in (("Zeit;Weg\ns;mm\n", "data.only_header"), ("", "data.no_rows_of_numbers")):
+        path.write_text(text)
+        with refused(key):
+            open_source(path)
+
+
+def test_seconds_and_their_nanoseconds_are_one_clock(tmp_path):
+    rows = [(1700000000 + n // 4, n % 4 * 250000000, n) for n in range(30)]
+    text = "".join("{},{},{}.5\n".format(*row) for row in rows)
+    (tmp_path / "a.csv").write_text("header.stamp.sec,header.stamp.nanosec,p [bar]\n" + text)
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert table.columns[0].values.tolist() == [0.25 * n for n in range(30)]
+    assert table.columns[0].unit == "s" and table.began == 1700000000.0
+    (tmp_path / "a.csv").write_text("sec,nsec,p [bar]\n" + text.replace(",250000000,", ",2e9,"))
+    (table,) = open_source(tmp_path / "a.csv").tables  # no part of a second
+    assert table.columns[0].values[0] == 1700000000.0
+
+
 def test_ticks_of_windows_are_a_wall_clock(tmp_path):
     began = datetime(2022, 5, 2, 13, 56, 24, 376000, UTC)
     ticks = 132959733843760000  # as a library of others says of that moment

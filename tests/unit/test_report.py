@@ -215,9 +215,9 @@ def test_no_two_figures_share_a_file(unpainted, tmp_path):
 @pytest.mark.parametrize(
     ("read", "text", "key", "line"),
     [
-        (read_points, "valve,direction,command [V],flow [gpm],method\n", "report.no_column", 1),
+        (read_points, "valve,direction,command [V],flow [gpm],method\n", "data.no_column", 1),
         (read_series, "t [s],boom.wobble\n0,1\n", "report.bad_column", 1),
-        (read_series, "boom.q [rad]\n1\n", "report.no_column", 1),
+        (read_series, "boom.q [rad]\n1\n", "data.no_column", 1),
         (read_series, "t [s],boom.q [rad]\n0,1\n1\n", None, 3),
     ],
 )

@@ -18,7 +18,7 @@ from ehbench.report.figures import root_locus
 from ehbench.report.figures.trial import FUNCTION_SHADES, LIMIT_SHADES, stretches
 from ehbench.report.figures.trials import plot_errors, wide_panels
 from ehbench.report.saved import FigureIndex, Saved, Series, Table
-from ehbench.report.stages.tuning import overshoot_of
+from ehbench.report.stages.tuning import REPORT, overshoot_of
 from ehbench.report.trial_captions import (
     ESTIMATES,
     compared_caption,
@@ -166,6 +166,14 @@ def test_what_files_hold_is_shown(shown, row):
 
 def test_limits_that_were_not_met_are_not_named(shown):
     assert "against" not in shown[1]["trial_none_open_loop"]
+
+
+def test_what_a_damped_tuning_misses_is_asked_for(tmp_path):
+    worst = min(one["margins"]["bandwidth"] or 1e9 for one in tuning()["points"] if one["counts"])
+    given = {"met": False, "damping_ratio": 0.9, "constraints": {"bandwidth": 2 * worst}}
+    folder = tune_run(tmp_path, "slow", **given, **LEAN)
+    (step,) = REPORT.findings(Saved(folder)).next
+    assert step.key == "steps.smaller_margins" and step.hint.startswith('bandwidth = "')
 
 
 def test_a_tuning_that_fails_says_so(unpainted, tmp_path):

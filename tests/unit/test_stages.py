@@ -1,5 +1,7 @@
 """Every stage is whole: a recipe model of its own, a command, a section in the report."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import tomli_w
@@ -12,6 +14,7 @@ from ehbench.plant.model import Model
 from ehbench.report.stages import SECTIONS
 from ehbench.stages import REGISTRY, Stage
 from ehbench.stages.hydraulics import HydraulicsStage
+from ehbench.stages.tuning import TuningStage
 from ehbench.vocabulary.commands import COMMANDS
 from tests.shared import RIGS, shipped
 from tools.virtual_logs import virtual_log
@@ -32,6 +35,17 @@ def test_a_stage_has_a_command_and_a_section(stage):
 
 def test_every_command_that_runs_recipes_has_a_stage():
     assert {one.name for one in COMMANDS} < {stage.command for stage in STAGES} <= KNOWN
+
+
+@pytest.mark.parametrize("met, code", [(True, 0), (False, 4)])
+def test_a_tuning_that_misses_its_demands_says_so_by_its_code(met, code, tmp_path):
+    rig = load_rig(RIGS / "slide_servo.toml")
+    state = SimpleNamespace(
+        rig=rig, flow_maps=None, stage="validated", saved=lambda name: {"reservations": []}
+    )
+    tuning = SimpleNamespace(met=met, warnings=(), as_json=lambda: {"met": met})
+    work = TuningStage()._written(SimpleNamespace(state=state), tmp_path, tuning)
+    assert work.code == code and len(work.reasons) == (not met)
 
 
 def test_a_force_that_differs_between_logs_is_a_key_of_their_entry(tmp_path):

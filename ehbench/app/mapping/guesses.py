@@ -150,7 +150,9 @@ def _guess(name: str, column: SourceColumn, table: SourceTable, rig: Rig | None)
         why = (message("app.why_unit", unit=unit), *why)
     if channel:
         return _placed(channel, certainty, why, (column, unit, words), rig)
-    if words & WORDS["command"] or (driven and words & WORDS["command_port"]):
+    valves = [item for _, item in rig.valves()] if rig and driven else []
+    named = any(words_of(item.name) <= words for item in valves)
+    if named or words & WORDS["command"] or (driven and words & WORDS["command_port"]):
         return command_guess(unit, words, known, rig)
     if is_share(unit) and sensor:
         return Guess(unit=unit, remark=message("app.sensor_signal", unit=unit))
@@ -328,12 +330,16 @@ def command_guess(unit: str, words: set[str], known: np.ndarray, rig: Rig | None
         if len(named) != 1 and len(valves) > 1:
             certainty = UNDECIDED
         chosen = (named or list(valves))[0]
-        valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
+        valve = VALVE if certainty == UNDECIDED else chosen.name
+        low, high = float(chosen.command_min), float(chosen.command_max)
     if any(unit and not is_share(unit) and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
         return Guess(unit=unit, remark=message("app.commanded_position"))
     is_opening = bool(words & WORDS["spool"])
     channel = f"{cylinder}.{valve}.{'opening' if is_opening else 'command'}"
     remark = message("app.opening_guessed" if is_opening else "app.command_guessed")
+    if rig is not None and valve == VALVE and cylinder != CYLINDER:
+        names = ", ".join(item.name for item in rig.cylinder_named(cylinder).valve)
+        remark = message("app.which_valve", names=names)
     spoken = words & WORDS["command"]
     why = (message("app.why_unit", unit=unit), *why) if unit else why
     why += tuple(message("app.why_word", word=word) for word in sorted(spoken))

@@ -295,6 +295,15 @@ def _valid_hint(
     if above is not None:
         owner = _place_in(table, location[:above])[0]
         return f"a key of {owner}: put it above the table [{_header(location[:-1])}]"
+    # not of its own table, but of one in it
+    owners = [
+        name
+        for name in valid
+        if not isinstance(within[-1], int)
+        and within[-1] in _valid_keys(model, (*within[:-1], name))
+    ]
+    if len(owners) == 1:
+        return f"a key of '{owners[0]}': write it there"
     return "valid keys: " + ", ".join(valid) if valid else None
 
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, with_clock
 from ehbench.data.readers.transfer import received, send
 from ehbench.runtime.confined import Bounds, Ended, confined
 from ehbench.runtime.memory import SHARE, available
@@ -142,6 +142,7 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         source = (_confined if reader.magic else _read)(reader, path, dialect or Dialect())
+    source = replace(source, tables=tuple(map(with_clock, source.tables)))
     requested = dialect.table if dialect else None
     if requested is not None and len(source.tables) > 0 and source.tables[0].name:
         there = ", ".join(f"'{table.name}'" for table in source.tables)

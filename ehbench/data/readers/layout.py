@@ -14,6 +14,7 @@ from ehbench.data.readers.table import Dialect
 from ehbench.data.text import is_hole, measured, number, split
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.text import shortened
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _REMARKS = ("#", "%", "//")
@@ -117,7 +118,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
     at = [n for n in range(skip, len(lines)) if is_row(lines[n], separator)]
     kinds, slow = _kinds_of([lines[n] for n in at], marks)
     if not kinds:
-        raise LogError(message("data.no_rows_of_numbers"))
+        raise _without_numbers(lines, at)
 
     def fits(n: int, share: float, titled: bool = False) -> bool:
         row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
@@ -136,7 +137,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
 
     strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
     if strict is None:
-        raise LogError(message("data.no_rows_of_numbers"))
+        raise _without_numbers(lines, at)
     window = range(strict, min(strict + _HEADS, len(at)))
     words = [i for i in window if not fits(at[i], 0.5)]
     if words and words[0] - strict <= 2 and words[-1] + 1 < len(at):  # numbers among the facts
@@ -162,6 +163,14 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
     if dialect.unit_row is False:
         header, units = (header if units in (None, titled) else units), None
     return TextLayout(header, units, first, kinds, rows, clock)
+
+
+def _without_numbers(lines: Sequence[str], rows: Sequence[int]) -> LogError:
+    """The error of lines without rows of numbers, of which some ``rows`` are no remarks."""
+    if not rows:
+        return LogError(message("data.no_rows_of_numbers"))
+    text = shortened(lines[rows[-1]].strip(), 60)
+    return LogError(message("data.only_header", text=text))
 
 
 def _titled(

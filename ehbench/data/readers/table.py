@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,8 @@ _UNIT_LAST = (
 )
 _QUOTIENT = re.compile(rf"(?:^|\s)([^\W\d][^\s/]*)/({_PLAIN})$")  # of ISO 80000: p/bar
 _PER_SECOND = re.compile(r"[\s_](deg|rad|[cm]?m)_s$")
+_CLOCK_PART = re.compile(r"(.*?)(u|n|micro|nano)?s(?:ecs?|econds?)?(?:\s*[\[(][mun]?s[\])])?")
+_SINCE_1970 = 1e8  # from which count on [s] a clock is one since 1970
 WIDEST = 256  # columns that a matrix may have
 
 
@@ -178,6 +181,28 @@ class Source:
             raise LogError(message("data.no_column_near", name=name, near=near[0]), file=file)
         there = listed((f"'{item}'" for item in known), 12)
         raise LogError(message("data.no_column", name=name, there=there), file=file)
+
+
+def with_clock(table: SourceTable) -> SourceTable:
+    """A table whose whole seconds and the rest of them, in columns beside one another as
+    ``stamp.sec`` and ``stamp.nanosec``, are one clock: in the column of the seconds, since the
+    first. Others as they are.
+    """
+    columns = list(table.columns)
+    for at, (first, second) in enumerate(pairwise(columns)):
+        whole, part = (_CLOCK_PART.fullmatch(column.name.lower()) for column in (first, second))
+        if not (whole and part and whole[1] == part[1] and not whole[2] and part[2]):
+            continue
+        parts = second.values / (1e9 if part[2] in ("n", "nano") else 1e6)
+        both = (first.values - first.values[:1]) + parts
+        good = np.isfinite(both)
+        if not good.all() or np.any(first.values % 1.0) or parts.min() < 0.0 or parts.max() >= 1.0:
+            continue
+        columns[at] = replace(first, values=both - both[:1], unit="s")
+        began = float(first.values[0] + parts[0]) if first.values[0] >= _SINCE_1970 else None
+        known = table.began if began is None else began
+        return replace(table, columns=tuple(columns), began=known)
+    return table
 
 
 def column_names(names: Sequence[str]) -> list[str]:

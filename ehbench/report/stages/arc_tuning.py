@@ -8,16 +8,13 @@ from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Fold, Part, Text
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
 from ehbench.report.saved import FigureIndex, Saved, Table
-from ehbench.report.stages.tuning import supply_blocks
+from ehbench.report.stages.tuning import reached_demands, supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
 from ehbench.report.template import Template
 from ehbench.report.words import (
     axis,
     measure,
-    rounded_down,
-    row_of,
     shown,
-    unit_of,
     words,
 )
 from ehbench.vocabulary.messages import message
@@ -94,22 +91,10 @@ def findings(run: Saved) -> Findings:
     label = f"Delay margin, stated, {words(tuning['cylinder'])}"
     value = measure(run.rig, "delay_margin", tuning["delay_margin"], 2)
     numbers = [Headline(OFTEN, label, value, page.text("margins", tuning=tuning))]
-    if tuning["met"]:
-        return Findings(numbers, [{"kind": "margins"}])
-    missed = {
-        name: value
-        for name, demand in tuning["constraints"].items()
-        if (value := tuning.get(name)) is not None and value < demand
-    }
-    if any(value <= row_of(name).lower for name, value in missed.items()):
-        missed = {}  # the loop swings with any bandwidths
-    lines = []  # of a recipe, that ask for what was reached
-    for name, value in missed.items():
-        unit = unit_of(run.rig, name).replace("dimensionless", "")
-        reached = f"{rounded_down(shown(run.rig, name, value)):g} {unit}".rstrip()
-        lines.append(f'{name} = "{reached}"')
-    steps = [message("steps.smaller_margins", keys="\n".join(lines))]
-    return Findings(numbers, [{"kind": "margins"}], [page.text("margins_missed")], steps)
+    against = [] if tuning["met"] else [page.text("margins_missed")]
+    keys = reached_demands(run.rig, tuning["constraints"], tuning)
+    steps = [message("steps.smaller_margins", keys=keys)] if against else []
+    return Findings(numbers, [{"kind": "margins"}], against, steps)
 
 
 REPORT = StageReport(

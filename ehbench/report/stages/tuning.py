@@ -1,6 +1,6 @@
 """Tuning: functions, equivalents, operating points, gains, loci, steps, draws."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,9 @@ from ehbench.report.words import (
     measure,
     number,
     rounded_down,
+    row_of,
     shown,
+    unit_of,
     words,
 )
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
@@ -379,6 +381,23 @@ def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
     return rows
 
 
+def reached_demands(rig: Rig, demands: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
+    """Lines of a recipe that ask for what was reached of the demands that were missed; '' where
+    the loop swings with any gains.
+    """
+    lines = []
+    for word, demand in demands.items():
+        value, name = reached.get(word), "natural_frequency" if word == "bandwidth" else word
+        if value is None or value >= demand:
+            continue
+        if value <= row_of(name).lower:
+            return ""
+        unit = unit_of(rig, name).replace("dimensionless", "")
+        value = rounded_down(shown(rig, name, value))
+        lines.append(f'{word} = "{value:g} {unit}'.rstrip() + '"')
+    return "\n".join(lines)
+
+
 def findings(run: Saved) -> Findings:
     page, tuning = Template("headlines", run.rig), run.json("tuning.json")
     draws = tuning["robustness"]
@@ -391,7 +410,12 @@ def findings(run: Saved) -> Findings:
     ]
     against = [] if tuning["met"] else [page.text("missed")]
     reached = number(rounded_down(tuning["damping_ratio"]), 2)
-    steps = [message("steps.less_damping", reached=reached)] if against else []
+    step = message("steps.less_damping", reached=reached)
+    if tuning["damping_ratio"] >= tuning["target"]:  # it is another demand that is missed
+        demands = tuning["constraints"].plain()
+        worst = {name: _minimum(counted(tuning), name) for name in demands}
+        step = message("steps.smaller_margins", keys=reached_demands(run.rig, demands, worst))
+    steps = [step] if against else []
     share = draws["share"] if draws["draws"] else 1.0
     if share < 1.0:
         against.append(page.text("missed_draws", share=1.0 - share))
