@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import errno
 import gc
+import json
 import os
 import shutil
 import signal
@@ -729,8 +730,10 @@ def main() -> None:
             print(*first, *notes, sep="\n", end="\n" if first or notes else "", file=sys.stderr)
             sys.exit(128 + requested)
         if isinstance(error, EhbenchError):
-            lines = [f"error: {item}" for item in (error, *error.others)]
-            print(*lines, *notes, sep="\n", file=sys.stderr)
+            every = (error, *error.others)
+            if "--json" in sys.argv:
+                print(json.dumps({"code": error.exit_code, "errors": [e.as_json() for e in every]}))
+            print(*(f"error: {item}" for item in every), *notes, sep="\n", file=sys.stderr)
             sys.exit(error.exit_code)
         if isinstance(error, OSError) and error.errno in _OUTSIDE:
             where = f"{shortened_path(error.filename)}: " if error.filename else ""

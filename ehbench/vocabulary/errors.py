@@ -46,6 +46,12 @@ class EhbenchError(Exception):
         where = "" if self.file is None else f"{place}: "
         return where + self.message + (f" ({self.hint})" if self.hint else "")
 
+    def as_json(self) -> dict[str, Any]:
+        """Plain values: key, text, file, line and hint."""
+        text = str(self.message)
+        places = {"file": self.file, "line": self.line, "hint": self.hint}
+        return {"key": self.key, "text": text, **places}
+
 
 @contextmanager
 def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:

@@ -164,3 +164,14 @@ def test_commands_without_a_run_have_json_as_well(words, inside, tmp_path):
 def test_a_verbose_check_as_json_is_json_alone(inside):
     done = inside("check", ROOT / "recipes/rigs/slide_servo.toml", "-v", "--json")
     assert json.loads(done.stdout)["lines"][0].startswith("rig 'slide_servo'")
+
+
+def test_an_error_is_json_too_where_a_command_is_asked_for_it(inside, tmp_path):
+    text = (ROOT / "recipes" / "slide_servo" / "hydraulics.toml").read_text()
+    (tmp_path / "fit.toml").write_text('colour = "red"\n' + text)
+    done = inside("identify", "fit.toml", "--json", cwd=tmp_path)
+    known = json.loads(done.stdout)
+    assert known["code"] == done.returncode == 2
+    (item,) = known["errors"]
+    assert (item["key"], item["line"]) == ("config.unknown_key", 1)
+    assert item["text"] in done.stderr and item["file"].endswith("fit.toml")
