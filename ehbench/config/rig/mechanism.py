@@ -19,7 +19,8 @@ def _solid(inertia: Value) -> Value:
     xx, yy, zz, xy, xz, yz = inertia.value  # type: ignore[misc]
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     spread = 0.5 * np.trace(tensor) * np.eye(3) - tensor
-    if np.linalg.eigvalsh(spread)[0] < -_ROUNDED * abs(tensor).max():
+    rounded = _ROUNDED * abs(tensor).max()
+    if min(xx, yy, zz) < 0.0 or np.linalg.eigvalsh(spread)[0] < -rounded:
         raise ValueError(message("config.no_inertia"))
     return inertia
 
