@@ -95,8 +95,9 @@ $(VENV)/.ready: $(VENV)/.installed
 
 dev: $(VENV)/.ready $(VENV)/.dev  ## what the gates need beside what a run needs
 
+# byte code of what the gates alone need is made as they need it
 $(VENV)/.dev: $(VENV)/.installed requirements-dev.txt
-	$(INSTALL) --require-hashes --no-deps -r requirements-dev.txt
+	$(INSTALL) --require-hashes --no-deps --no-compile -r requirements-dev.txt
 	touch $@
 
 requirements:            ## pin again (needs uv); hashes only, no addresses
