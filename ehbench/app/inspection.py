@@ -30,12 +30,14 @@ from ehbench.workflow import ROOT
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a file holds, its errors and exit code (3: data loss); a recipe's notes."""
+    """What a file holds, its errors and exit code (3: data loss); notes of a recipe, or of a
+    rig."""
 
     lines: tuple[str, ...]
     code: int = 0
     errors: tuple[EhbenchError, ...] = ()
     notes: Notes | None = None
+    of_rig: tuple[str, ...] = ()
 
     def answer(self, path: Path) -> Answer:
         """What the command says of a file: a row for each thing it holds, and how to run it."""
@@ -53,7 +55,8 @@ class Inspection:
                 steps.append(message("steps.run_recipe", **fields))
         state = plural(len(self.errors), "error") if self.errors else "ok"
         state += ", with losses" if self.code == 3 else ""
-        known = {} if self.notes is None else {str(note): note for note in self.notes.remarks}
+        remarks = self.of_rig if self.notes is None else self.notes.remarks
+        known = {str(note): note for note in remarks}
         return Answer(
             f"{state}: {self.lines[0]}",
             [Grid(["", ""], [row[::2] if row[1] else ("", row[0]) for row in facts])],
@@ -173,7 +176,7 @@ def _rig(path: Path) -> Inspection:
     if bare := sum(not value.source and value.text is not None for value in values):
         words.append(f"{bare} without a source")
     lines.append(message("app.sources", sources=", ".join(words) or "no sources given"))
-    return Inspection((*lines, "ok"))
+    return Inspection((*lines, "ok"), of_rig=tuple(notes))
 
 
 def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:

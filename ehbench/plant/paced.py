@@ -143,6 +143,8 @@ def _step(way, command, part, room, step, rate, given):
     """
     line, units = way.line, way.pace.units
     unit, step = line.tick / units, min(step, room)
+    if step > units:
+        step = step // units * units  # whole ticks of several: a log has a row at the end of each
     while True:
         if line.past.shape[0] > 1:
             step = min(step, units // LATE)

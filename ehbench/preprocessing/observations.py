@@ -207,8 +207,8 @@ def _levels_off(record: Record, simulated: Record, rig: Rig) -> Iterator[Message
         if channel == "p_supply" and np.max(record[channel]) - seen > allowed:
             continue  # no level of its own: it goes with the load
         if abs(seen - known) > allowed:
-            shown = rig.shown(channel, seen, 3)
-            fields = {"name": name, "known": rig.shown(channel, known, 3), "seen": shown}
+            shown = rig.shown(channel, seen)
+            fields = {"name": name, "known": rig.shown(channel, known), "seen": shown}
             cause = message("preprocessing.other_level", **fields)
             key = name.rpartition(".")[2]
             where = message("preprocessing.in_supply", key=key)

@@ -25,8 +25,14 @@ from ehbench.vocabulary.text import folded
 
 GAP = "  "
 SETTLED = ("done", "partly_estimated")  # statuses that are no verdict
-# notes that are said without -v: what was taken in place of data that are missing
-LOUD = ("preprocessing.no_command", "preprocessing.no_command_near")
+# notes that are said without -v: what was taken in place of data that are missing, and what keeps a
+# rig from moving
+LOUD = (
+    "preprocessing.no_command",
+    "preprocessing.no_command_near",
+    "app.unconnected",
+    "app.weak_supply",
+)
 MOST_STEPS, MOST_WORDS = 3, 60  # of an answer; words besides tables
 
 

@@ -70,14 +70,18 @@ def test_a_missing_edge_is_noted(tmp_path, node):
     (valve,) = rig["cylinder"][0]["valve"]
     valve["edge"] = [edge for edge in valve["edge"] if node not in (edge["from"], edge["to"])]
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(rig))
-    lines = inspection.check(tmp_path / "rig.toml").lines
-    assert sum(f"touches the {node}" in line and "is one missing?" in line for line in lines) == 1
-    assert lines[-1] == "ok"
+    result = inspection.check(tmp_path / "rig.toml")
+    asked = [line for line in result.lines if f"touches the {node}" in line]
+    assert len(asked) == 1 and "is one missing?" in asked[0] and result.lines[-1] == "ok"
+    said = " ".join(result.answer(tmp_path / "rig.toml").lines(80))
+    assert f"touches the {node}" in said  # without -v
 
 
 def test_a_load_that_the_supply_cannot_carry_is_noted(tmp_path):
     (tmp_path / "rig.toml").write_text(CRANE.replace('"200 kg"', '"20 t"'))
-    lines = inspection.check(tmp_path / "rig.toml").lines
+    result = inspection.check(tmp_path / "rig.toml")
+    lines = result.lines
+    assert "supply cannot carry the load" in " ".join(result.answer(tmp_path).lines(80))
     assert "  note: no payload: the supply cannot carry the load of 'lift' at mid-stroke" in lines
 
 

@@ -107,6 +107,16 @@ def test_the_steps_of_another_run_are_taken_again(name):
     assert np.all(np.abs(small - large).max(axis=0)[moved] < 0.05 * effect[moved])
 
 
+def test_every_sample_has_a_row_where_a_step_is_no_whole_number_of_ticks():
+    """As one that was cut at the end of a tick, and doubled, may be."""
+    model = made("slide_servo")
+    start, table = model.trim(model.posture(None)), model.rest_commands(50)
+    units = pace_of(model.plant, model.layout, 1e-3).units
+    log, steps = model.paced(start, table, mesh=np.array([units + units // 4]))
+    assert np.all(log[:, model.plant.at.supply] > 0.0)
+    assert int(steps.sum()) == 49 * units
+
+
 def test_many_runs_on_threads_equal_single_runs():
     rig = shipped("slide_servo")
     models = [Model.of(rig.with_values({"bulk_modulus": 1e9 * (1 + i)})) for i in range(9)]

@@ -145,6 +145,8 @@ def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channe
     supply = float(machine.supply.pressure)
     known = float(getattr(machine.supply, key))
     other = rig(**{"tank_pressure": "3 bar", key: f"{known - share * supply} Pa"})
+    shows = {"p_supply": "psi", "p_tank": "psi"}
+    other = Rig.model_validate(other.as_toml() | {"display": shows})
     volts = np.where(np.arange(601) < 200, 0.0, 4.0)
     record = simulate(machine, {"press.servo": volts}, 0.6, posture={"press": "120 mm"})
     assert judged(machine, [("log", record)]).reservations == ()
@@ -153,6 +155,7 @@ def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channe
         assert told.key == "preprocessing.level_off"  # pyright: ignore[reportAttributeAccessIssue]
         line = told.fields["line"]  # pyright: ignore[reportAttributeAccessIssue]
         assert line.startswith(f'{key} = "') and written(line) == pytest.approx(known, rel=5e-3)
+        assert "psi" in line and "e+" not in line
     fitted = identify_hydraulics(other, [("log", record)], [STIFF])
     assert line in [getattr(text, "fields", {}).get("line") for text in fitted.warnings]
 
