@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import Thresholds
 from ehbench.data.record import Record
+from ehbench.diagnosis import Structure
 from ehbench.frequency_response.response import Estimate, Response
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED
@@ -16,9 +18,18 @@ from ehbench.preprocessing.observations import least_change
 from ehbench.preprocessing.preparation import PreparedLog
 from ehbench.validation import baseline, held_out, judge, sweeps
 from ehbench.validation.residuals import Pair, compare_channel
-from ehbench.validation.results import BlackBox, ChannelResult, LogResult, Ring
+from ehbench.validation.results import (
+    BlackBox,
+    ChannelResult,
+    Check,
+    LogResult,
+    Ring,
+    speaking_against,
+)
 from ehbench.validation.transients import steps_only, transients_of, why_not_judged
+from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.terms import Z95
+from tests.settings import answers
 from tests.shared import shipped
 
 TICK = 1e-3
@@ -317,3 +328,49 @@ def test_what_is_scored_of_a_log_has_both_its_ends(scored, samples):
     record = Record(np.arange(9) * TICK, {"press.x": np.arange(9.0)})
     log = judge.JudgedLog(PreparedLog("log", record, MODEL), scored=scored)
     assert log.counted["press.x"].tolist() == list(samples)
+
+
+def test_a_log_that_cannot_be_judged_is_told_with_its_facts():
+    """What was scored of it, its payload, and the channels that somebody may look at."""
+    u, x = np.repeat([0.0, 5.0], 20), np.arange(40.0)
+    record = Record(np.arange(40) * TICK, {COMMAND: u, "press.x": x, "press.p_rod": x})
+    failure = LogError("log: no start")
+    given = PreparedLog("log", record, MODEL)
+    whole = judge._judge(judge.JudgedLog(given, failure=failure), ("x",), Thresholds())
+    assert (whole.payload, whole.status, whole.failure) == ("none", "failed", "no start")
+    assert whole.duration == pytest.approx(0.039) and whole.scored is None
+    assert (whole.moved, whole.held) == (("press",), ())
+    assert set(whole.series) == {"t", "press.x"}
+    loaded = replace(given, record=replace(record, meta={"payload": "mould"}))
+    part = judge.JudgedLog(loaded, scored=(0.005, 0.015), failure=failure)
+    scored = judge._judge(part, ("x",), Thresholds())
+    assert scored.payload == "mould" and scored.duration == pytest.approx(0.01)
+    assert scored.scored == pytest.approx((0.005, 0.015))
+    assert (scored.moved, scored.held) == ((), ("press",))
+
+
+def test_what_a_log_may_be_instead_is_a_reservation_and_no_rejection():
+    """Another payload, exchanged channels: unless nobody asks for it."""
+    check = Check("press.x fit", 90.0, 80.0, "%", True, "it fits")
+    log = LogResult("a", "none", "held_out", 1.0, TICK, checks=(check,))
+    prepared: Any = Stub(rig=Stub(name="slide"), channels=("x",), logs=[Stub(log=Stub(record=0))])
+    prepared.training, prepared.leans, prepared.cases = (), (), lambda results: [1, 2]
+    shares = []
+    with answers(judge, _judge=log, black_boxes=([log], BlackBox(), ()), ask=Structure(),
+                 misread=lambda case: [f"exchanged {case}"]):  # fmt: skip
+        found = judge.run_validation(prepared, progress=lambda _, share: shares.append(share))
+        quiet = judge.run_validation(prepared, diagnose=False)
+    assert found.accepted and found.reservations == ("exchanged 1", "exchanged 2")
+    assert found.reasons == () and shares == [1.0, 1.0]
+    assert quiet.verdict == "accepted" and found.verdict == "accepted with reservation"
+
+
+def test_a_cause_rejects_that_makes_most_of_what_a_fit_leaves():
+    """One whose share is not known does not."""
+    notes = [Stub(fields=fields) for fields in ({"cause": "a"}, {"cause": "b", "share": 0.6}, {})]
+    lean = {"sentence": "lean", "explains": 0.4}
+    against = speaking_against({"warnings": [*notes, "plain"], "leans": [lean]})
+    assert [item["explains"] for item in against] == [0.0, 0.6, 0.4]
+    found = judge.Validation("slide", True, (), (), {}, ()).with_fit(against)
+    assert found.reasons == (notes[1],) and found.reservations == (notes[0], "lean")
+    assert not found.accepted

@@ -1,19 +1,30 @@
 """Flow maps and operating points on small arrays, against closed forms."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ehbench.flow_maps import step_readings, tables
+from ehbench.data.record import Record
+from ehbench.flow_maps import fit, results, step_readings, tables
+from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
+from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.plant.model import Model
-from ehbench.tune.draws import uncertain
-from ehbench.tune.operating_point import FED
-from ehbench.tune.study import rail_notes
+from ehbench.tune import arc, draws, linear, study
+from ehbench.tune.draws import draw_parameters, uncertain
+from ehbench.tune.loop import Law, _off_side_flows, damping_ratio
+from ehbench.tune.operating_point import FED, Aim
+from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
+from ehbench.tune.study import Study, rail_notes
+from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.fields import Value
+from tests.settings import answers
 from tests.shared import shipped
+
+TICK = 1e-3
 
 
 @pytest.mark.parametrize("rise", [-0.004, 0.004])
@@ -81,3 +92,283 @@ def test_points_near_the_end_of_the_low_rail_are_counted(above, near):
     assert [note.fields for note in told] == ([{"near": 3, "points": 3}] if near else [])
     none: Any = Stub(supply=Stub(low_rail=None))
     assert rail_notes(none, points) == []
+
+
+# --- flow maps
+
+
+@pytest.mark.parametrize(("rest", "level"), [(0.05, 2), (0.9e-3, None)])
+def test_a_leak_is_the_sum_of_its_two_parts_without_what_is_far_from_it(rest, level):
+    """Two levels pass no more than the valve at rest; one reading of them is a mistake."""
+    rng, s = np.random.default_rng(3), np.tile(np.sqrt(np.linspace(0.05, 1.0, 12)), 5)
+    at = np.repeat(np.arange(5), 12)
+    y = np.where(at < 2, rest * (0.7 * s + 0.3 * s**2), 0.2 * at * s)
+    y[:24] += 0.01 * rest * rng.standard_normal(24)
+    y[20] += 5.0 * rest
+    r: Any = Stub(level=at, command=0.5 * at, silent=np.zeros(60, bool), y=y, s=s, step=at)
+    r.cell, r.cell_level = at, np.arange(5)
+    found = fit._find_leak(r)
+    assert (found and found.level) == level
+    if found is None:
+        return
+    use = (np.arange(60) < 24) & (np.arange(60) != 20)
+    design = np.column_stack([s, s**2])[use]
+    parts, squares, *_ = np.linalg.lstsq(design, y[use], rcond=None)
+    assert (found.root, found.drop) == pytest.approx(tuple(parts))
+    error = float(squares[0]) / 21.0 * np.linalg.inv(design.T @ design).sum()
+    assert found.std == pytest.approx(math.sqrt(error))
+    assert found.flow(np.array([0.0, 0.5, 1.0])) == pytest.approx(
+        [0.0, 0.5 * parts[0] + 0.25 * parts[1], sum(parts)]
+    )
+    moving: Any = Stub(**{**vars(r), "command": 0.5 + 0.5 * at})
+    assert fit._find_leak(moving) is None
+
+
+@pytest.mark.parametrize(("high", "rated"), [([], 1.0), ([50.0], 0.99), ([5.0, 6.0], 6.0)])
+def test_one_cell_far_above_all_others_is_not_the_rated_flow(high, rated):
+    """Two that bear each other out are."""
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(1.0, 6.0), np.arange(1.0, 7.0)))
+    flow = 0.2 * command * (0.94 + 0.01 * drop)
+    flow[flow.size - len(high) :] = high
+    rows = readings_table(command, 1e6 * drop, 1e-3 * flow)
+    found = sort_readings("map", rows, FlowMapOptions())
+    assert found.rated == pytest.approx(1e-3 * rated)
+    assert found.y == pytest.approx(found.q / found.rated)
+
+
+def test_a_kink_between_places_leaves_the_chord_by_its_turn():
+    """Slopes 1, 2, 5, 5: half of each turn shows at either end of its gap."""
+    places = np.array([0.0, 1.0, 3.0, 4.0, 6.0])
+    x = np.array([-1.0, 0.25, 2.0, 2.5, 3.5, 5.0, 6.0, 7.0])
+
+    def flow(at, of):
+        return of * np.interp(at, places, [0.0, 1.0, 5.0, 10.0, 20.0])
+
+    share = x - np.array([0.0, 0.0, 1.0, 1.0, 3.0, 4.0, 4.0, 4.0])
+    share = share / np.array([1.0, 1.0, 2.0, 2.0, 1.0, 2.0, 2.0, 2.0])
+    bow = np.clip(share * (1.0 - share), 0.0, None) * np.array([1, 1, 2, 2, 1, 2, 2, 2])
+    of = np.array([1.0, 1.0, 2.0, 1.0, 3.0, 1.0, 1.0, 1.0])
+    for reach, turn in ((0, [1, 1, 4, 4, 3, 0, 0, 0]), (1, [4, 4, 4, 4, 4, 3, 3, 3])):
+        found = results._chord(flow, places, x, of, reach)
+        assert found == pytest.approx(np.array(turn) * of * bow)
+    assert not results._chord(flow, places[:3], x, of, 1).any()
+
+
+@pytest.mark.parametrize("flows", [False, True])
+def test_a_hull_has_the_drops_of_each_command_or_group_of_them(flows):
+    """Many commands go in as many groups as a map has spans, of as many readings."""
+    size = 4 * SPLINE.spans
+    u, drop = np.arange(1.0, size + 1.0), 1e5 * (1.0 + np.arange(size) % 7)
+    r: Any = Stub(level=np.arange(size), command=u, commands=u, drop=drop)
+    result: Any = Stub(readings=r, keep=np.ones(size, bool), window=Stub(flows_at_lowest=flows))
+    groups = u.reshape(-1, 4).mean(axis=1)
+    groups[[0, -1]] = u[[0, -1]]
+    lowest, highest = (side(drop.reshape(-1, 4), axis=1) for side in (np.min, np.max))
+    table = np.array([groups, lowest, highest])
+    if not flows:
+        table = np.column_stack([[0.0, lowest[0], highest[0]], table])
+    assert results._hull(result) == pytest.approx(table)
+    few: Any = Stub(level=np.array([0, 0, 1, 1, 2]), command=np.array([1.0, 1.2, 2.0, 2.2, 3.0]))
+    few.commands, few.drop = np.array([1.1, 2.1, 3.0]), np.array([5.0, 6.0, 7.0, 9.0, 8.0])
+    result = Stub(readings=few, keep=np.arange(5) != 2, window=Stub(flows_at_lowest=True))
+    assert results._hull(result) == pytest.approx(
+        np.array([[1.1, 2.2, 3.0], [5.0, 9.0, 8.0], [6.0, 9.0, 8.0]])
+    )
+
+
+def test_a_map_falls_from_its_largest_flow_to_that_of_the_largest_command():
+    """By a parabola about 1 V, that ends at 1.5 V."""
+    built: Any = Stub(rising=3, opening_knots=np.arange(5), hull_high=[2e6, 8e6], deadband=0.2)
+    built.command_max, built.flow = 1.5, lambda drop, u: drop * u * (2.0 - u) + drop - 8e6
+    assert results._fall(built) == pytest.approx(0.25, abs=1e-4)
+    built.rising = 4
+    assert results._fall(built) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("command", "target", "reference", "std", "verdict"),
+    [
+        (2.5, 2.5 * 6.25, None, 0.1, "met"),
+        (2.5, 2.5 * 6.25, None, 0.9, "undecided"),
+        (2.5, 2.5 * 8.0, None, 0.1, "missed"),
+        (2.5, 2.5 * 5.0, None, 0.1, "missed"),
+        (3.0, 3.0 * 4.0, 4.0, 0.1, "met"),
+        (3.1, 3.1 * 4.0, 4.0, 0.1, "not_measured"),
+        (0.9, 0.9 * 4.0, 4.0, 0.1, "not_measured"),
+    ],
+)
+def test_a_calibration_point_is_the_mean_over_the_upper_half_of_its_drops(
+    command, target, reference, std, verdict
+):
+    """Or that at its reference; of a flow that goes with the drop."""
+    built: Any = Stub(hull_command=[1.0, 2.0, 3.0], hull_low=[1.0] * 3, hull_high=[2.0, 6.0, 10.0])
+    built.flow = lambda drop, u: drop * u
+    built.flow_std = lambda drop, u: std * np.ones_like(drop)
+    item = results.check_calibration(built, command, target, 0.05, reference)
+    low, high = (4.5, 8.0) if reference is None else (reference, reference)
+    flow = 0.5 * command * (low + high)
+    assert item.verdict == verdict and (item.drop_low, item.drop_high) == (low, high)
+    assert item.flow == pytest.approx(flow)
+    assert (item.low, item.high) == pytest.approx((flow - 1.96 * std, flow + 1.96 * std), rel=1e-4)
+    assert (item.least, item.most) == pytest.approx((command * low, command * high))
+
+
+def test_readings_that_stand_alone_are_off_by_their_share_of_the_map():
+    show: Any = Stub(volts=lambda value: value, drop=lambda value: value)
+    r: Any = Stub(cell=np.array([0, 0, 1, 1, 2]), q=1e-4 * np.array([1.0, 1.0, 3.0, 3.4, 9.0]))
+    r.command, r.drop = np.array([1.0, 1.0, 2.0, 2.2, 3.0]), np.array([1e6] * 2 + [3e6] * 3)
+    r.rated, r.show = 1e-3, show
+    solution = Stub(lone=np.array([False, True, True]), flow=np.full(5, 0.4), widening=1.0)
+    keep = np.array([True, True, True, True, False])
+    result: Any = Stub(readings=r, solution=solution, keep=keep, sigmas=np.zeros(5))
+    quiet: Any = Stub(outliers=(), replicates=9, status="estimated", trial_scatter=0.0)
+    (note,) = results._warnings(result, quiet)
+    told: Any = note
+    assert told.key == "flow_maps.lone_cell" and told.fields["count"] == 2
+    assert told.fields["off"] == pytest.approx(-0.2)
+    assert (told.fields["command"], told.fields["drop"]) == pytest.approx((2.1, 3e6))
+
+
+def test_the_motion_of_a_cylinder_is_that_of_its_rod_or_of_its_joint():
+    """A speed is recorded, or that of the position; an angle tells nothing without a linkage."""
+    t = TICK * np.arange(200)
+    model = Model.of(shipped("slide_servo"))
+
+    def motion(of: Model, **channels: np.ndarray) -> tuple[Any, Any]:
+        name = of.layout.cylinders[0]
+        record = Record(t, {f"{name}.{word}": values for word, values in channels.items()})
+        return step_readings._motion(of, 0, record)
+
+    assert motion(model, q=t, qd=t) == (None, None)
+    x, v = motion(model, x=t**2)
+    assert x.tolist() == (t**2).tolist() and v[1:-1] == pytest.approx(2.0 * t[1:-1])
+    assert motion(model, x=t, v=3.0 * t)[1].tolist() == (3.0 * t).tolist()
+    boom, q = Model.of(shipped("boom_four_valve")), 0.3 + 0.2 * np.sin(5.0 * t)
+    x, v = motion(boom, q=q, qd=np.cos(5.0 * t))
+    slope = np.gradient(x, TICK)
+    assert v[1:-1] == pytest.approx(slope[1:-1], abs=1e-4 * float(np.ptp(slope)))
+    assert motion(boom, q=q)[1] == pytest.approx(slope)
+    assert motion(boom, q=q, x=t)[0].tolist() == t.tolist()
+
+
+# --- loops of operating points
+
+
+@pytest.mark.parametrize(
+    ("function", "q1", "q2"),
+    [
+        ("extend_resistive", (0, 0), (0, 1)),
+        ("extend_overrunning", (-1, 0), (0, 0)),
+        ("extend_resistive_regeneration", (0, 0), (-1, 1)),
+        ("retract_resistive", (-1, 0), (0, 0)),
+        ("retract_overrunning", (0, 0), (0, 1)),
+    ],
+)
+def test_the_off_side_lets_more_out_the_higher_its_pressure(function, q1, q2):
+    """Of the head end less goes in; in regeneration it is held above the head end."""
+    seen = np.array([[0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 2.0]])
+    flows = _off_side_flows(Law(1.0, 3e-9, 0.0), seen, FUNCTIONS.index(function))
+    assert flows == pytest.approx(3e-9 * np.array([q1, q2]) @ seen)
+
+
+def test_a_fast_stable_pole_is_left_out_however_little_it_is_damped():
+    poles = np.array([-0.5 + 1e3j, -0.5 - 1e3j, -3.0 + 4.0j, -3.0 - 4.0j])
+    assert float(damping_ratio(poles, 100.0)) == pytest.approx(0.6)
+    assert float(damping_ratio(poles, 2e3)) == pytest.approx(5e-4)
+    poles[:2] += 1.0
+    assert float(damping_ratio(poles, 100.0)) == pytest.approx(-5e-4)
+
+
+def test_the_margins_of_a_loop_that_too_little_gain_makes_unstable_as_well():
+    """K (s + 1)²/((s + 0.01)³ (s/50 + 1)²): stable between two factors, of which one is below 1."""
+    from scipy.optimize import brentq
+    from scipy.signal import tf2ss
+
+    bottom = np.polymul(np.poly([-0.01] * 3), np.polymul([0.02, 1.0], [0.02, 1.0]))
+
+    def growth(gain: float) -> float:
+        return float(np.roots(np.polyadd(bottom, gain * np.poly([-1.0, -1.0]))).real.max())
+
+    ends: Any = [brentq(growth, *about, xtol=1e-12) for about in ((0.2, 2.0), (10.0, 500.0))]
+    gain = 1.5 * ends[0]
+    a, b, c, _ = tf2ss(gain * np.poly([-1.0, -1.0]), bottom)
+    loop = OpenLoop(a, b[:, 0], c[0])
+    assert loop.growth(0.6) > 0.0 > loop.growth(0.7)
+    assert gain_margin(loop) == pytest.approx(ends[1] / gain, rel=1e-6)
+    omega = np.geomspace(1e-3, 1e3, 200_001)
+    reply = gain * np.polyval(np.poly([-1.0, -1.0]), 1j * omega) / np.polyval(bottom, 1j * omega)
+    at = np.flatnonzero(np.diff(np.abs(reply) > 1.0))
+    assert phase_margin(loop) == pytest.approx(np.abs(np.angle(-reply[at])).min(), abs=1e-3)
+
+
+def test_a_mount_gives_way_and_a_load_sways_by_their_equations():
+    """At any state: (c + f) u = c v + A₁P₁ − A₂P₂ − k δ, and m ẇ = −(k z + c (w − v))."""
+    row: Any = Stub(mount_damping=3.0, mount_stiffness=50.0, area_head=2.0, area_rod=1.5)
+    names, x = ("v", "p_head", "p_rod", "a.mount_deflection", "a.opening"), np.arange(1.0, 6.0)
+    a, inflow = np.zeros((5, 5)), np.zeros((2, 5))
+    point: Any = Stub(mass=4.0, v=0.2)
+    with answers(linear, friction_slope=0.7):
+        linear._give_way(row, point, names, a, inflow)
+    slip = (3.0 * x[0] + 2.0 * x[1] - 1.5 * x[2] - 50.0 * x[3]) / 3.7 - x[0]
+    assert a @ x == pytest.approx([-0.7 * slip / 4.0, 0.0, 0.0, slip, 0.0])
+    assert inflow @ x == pytest.approx([-2.0 * slip, 1.5 * slip])
+    load: Any = Stub(sway_damping=0.3, sway_stiffness=7.0, sway_mass=2.5)
+    names, a = ("v", "p_head", "p_rod", "a.sway", "a.sway_speed"), np.zeros((5, 5))
+    linear._swaying(load, point, names, a)
+    pull = 7.0 * x[3] + 0.3 * (x[4] - x[0])
+    assert a @ x == pytest.approx([pull / 4.0, 0.0, 0.0, x[4] - x[0], -pull / 2.5])
+
+
+@pytest.mark.parametrize(
+    ("margin", "supply", "follows"), [(0.0, 1e6, False), (1e5, 3e6, False), (1e5, 2e6, True)]
+)
+def test_a_pump_that_follows_others_is_constant_at_a_point(margin, supply, follows):
+    model = Model.of(shipped("slide_servo"))
+    row = model.plant.supply.copy()
+    row.margin, row.pressure = margin, 9e6
+    model = replace(model, plant=model.plant._replace(supply=row))
+    point, recipe = Stub(p_supply=supply), Stub(also_moving=())
+    given: Any = Study(model.rig, None, recipe, "press", 0.0, 0.0)  # pyright: ignore[reportArgumentType]
+    with answers(study, operating_point=point, sensed_pressure=2e6):
+        found, at = given.steady(model, None, 1, None, 0, Aim(0.0, 0.0))
+    assert at is point and (found is not model) == follows
+    told = found.plant.supply
+    assert (told.pressure, told.margin) == ((supply, 0.0) if follows else (9e6, margin))
+    assert (row.pressure, row.margin) == (9e6, margin)
+
+
+@pytest.mark.parametrize(("limit", "more"), [(0.05, True), (math.inf, False), (0.0, False)])
+def test_the_largest_budget_that_keeps_the_demands_is_closed_in_on(limit, more):
+    """Where none does, that of the largest delay margin; what is done goes on and is below 1."""
+    settings, done, seen = arc.ARC_SEARCH, [], {}
+    first = np.geomspace(*settings.budgets)
+    limit = limit and (math.sqrt(first[2] * first[3]) * 1.01 if more else limit)
+
+    def candidate(budget: float) -> Any:
+        return Stub(met=budget <= limit, delay_margin=-abs(math.log(budget / first[1])))
+
+    with answers(arc, Search=lambda _: Stub(candidate=candidate),
+                 _result=lambda _, __, budget, tried: seen.update(tried) or budget):  # fmt: skip
+        found: Any = arc.tune_arc(None, lambda _, share: done.append(share))  # pyright: ignore[reportArgumentType]
+    assert len(seen) == first.size + more * settings.refinements
+    assert done == sorted(done) and 0.0 <= done[0] < done[-1] < 1.0
+    if not more:
+        assert found == pytest.approx(first[-1] if limit else first[1])
+    else:
+        width = math.log(first[3] / first[2]) / 2**settings.refinements
+        assert 0.0 <= math.log(limit / found) <= width
+
+
+def test_draws_of_correlations_that_cannot_be_together_are_of_the_nearest():
+    """Three that all go against each other by 0.8: 1 + 2ρ < 0, so that their sum is fixed."""
+    known = {n: Value(5.0, "identified", std=0.1) for n in "abc"}
+    rig: Any = Stub(parameters=lambda: known)
+    matrix = np.where(np.eye(3) > 0.0, 1.0, -0.8)
+    rows = draw_parameters(rig, tuple("abc"), ("abc", matrix), 4000, np.random.default_rng(2))
+    assert rows.sum(axis=1) == pytest.approx(np.full(4000, 15.0))
+    # by 4000 draws to 3 · 0.01
+    assert np.corrcoef(rows.T)[0, 1] == pytest.approx(-0.5, abs=0.03)
+    given: Any = Stub(rig=rig, recipe=Stub(draws=0, seed=0))
+    with answers(draws, draw_parameters=None):
+        found = draws.robustness(given, [], Law(0.0, 0.0, 0.0), {}, None, lambda share: None)
+    assert (found.draws, found.parameters) == (0, ("a", "b", "c"))
