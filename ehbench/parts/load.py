@@ -102,7 +102,7 @@ FAULTS = (
     Fault("spring", ("stiffness",), step=0.05, rank=5),
     Fault("spring", ("free_length",), step=0.05, rank=5),
 )
-# a spring that nobody wrote down, free at mid-stroke until a fit moves that
+# a spring that the rig file leaves out, free at mid-stroke until a fit moves that
 SPRING = Fault(
     "outer spring",
     ("force.stiffness", "force.free_length"),

@@ -1,9 +1,6 @@
 """`ehbench check` on recipes: every mistake that files show, with its place, nothing run."""
 
-import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -314,11 +311,3 @@ def test_all_mistakes_of_a_rig_file_and_of_logs_are_shown_at_once(recipes):
     with pytest.raises(InputError) as refusal:
         workflow.run(fit)
     assert not refusal.value.others and "nothing.mcap" in str(refusal.value)
-
-
-def test_the_lines_of_a_check_are_json_alone(recipes):
-    done = subprocess.run(
-        [sys.executable, "-m", "ehbench", "check", "-v", "--json", str(recipes / FIT)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert json.loads(done.stdout)["code"] == done.returncode == 0
