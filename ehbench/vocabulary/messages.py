@@ -7,6 +7,7 @@ named fields, or a table with the template as ``text`` and what would be right a
 
 from __future__ import annotations
 
+import string
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -34,6 +35,18 @@ class Message(str):
         return Message, (str(self), self.key, dict(self.fields), self.hint)
 
 
+class _Numbers(string.Formatter):
+    """`str.format`, but numbers below a million without an exponent: 110, never 1.1e+02."""
+
+    def format_field(self, value: Any, spec: str) -> str:
+        text = super().format_field(value, spec)
+        usual = spec.endswith("g") and "e+0" in text and abs(value) < 1e6
+        return f"{float(text):{'+' * ('+' in spec)}.0f}" if usual else text
+
+
+_NUMBERS = _Numbers()
+
+
 @cache
 def templates(part: str) -> Mapping[str, Mapping[str, str]]:
     """The entries of one file of the catalogue: by name, ``text`` and ``hint``."""
@@ -57,8 +70,8 @@ def message(key: str, /, **fields: Any) -> Message:
     """
     part, _, name = key.partition(".")
     entry = templates(part)[name]
-    hint = entry.get("hint", "").format(**fields)
-    return Message(entry["text"].format(**fields), key, fields, hint)
+    text, hint = (_NUMBERS.format(entry.get(name, ""), **fields) for name in ("text", "hint"))
+    return Message(text, key, fields, hint)
 
 
 def of_log(log: str, note: str) -> Message:

@@ -75,6 +75,16 @@ def test_a_message_keeps_its_key_and_fields_and_an_unknown_one_is_a_bug(tmp_path
         message("data.no_such_entry")
 
 
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(112.3, "110 %"), (12.34, "12 %"), (0.5, "0.5 %"), (1.26e5, "130000 %"), (3e6, "3e+06 %")],
+)
+def test_numbers_below_a_million_have_no_exponent(value, shown):
+    assert message("faults.load_more", names="x", percent=value).split("is ")[1].startswith(shown)
+    drift = message("flow_maps.warm_flow", share=-value, half=1.0, kelvin=5)
+    assert f"-{shown.split()[0]} ±" in drift
+
+
 def test_settings_list_themselves():
     from dataclasses import dataclass
 
