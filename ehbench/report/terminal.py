@@ -19,20 +19,12 @@ from ehbench.report.provenance import TracedRun
 from ehbench.report.saved import Saved
 from ehbench.report.words import capital, words
 from ehbench.runs.rundir import plain, read_json
-from ehbench.vocabulary.messages import Message, message, ranked
+from ehbench.vocabulary.messages import Message, is_warning, message, ranked
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.text import folded
 
 GAP = "  "
 SETTLED = ("done", "partly_estimated")  # statuses that are no verdict
-# notes that are said without -v: what was taken in place of data that are missing, and what keeps a
-# rig from moving
-LOUD = (
-    "preprocessing.no_command",
-    "preprocessing.no_command_near",
-    "app.unconnected",
-    "app.weak_supply",
-)
 MOST_STEPS, MOST_WORDS = 3, 60  # of an answer; words besides tables
 
 
@@ -70,8 +62,8 @@ class Answer:
             clauses = re.match(r".{60,}[,;](?= )", cut)
             verdict = f"{clauses[0] if clauses else cut} …"
         out = textwrap.wrap(verdict, width)
-        loud = [note for note in self.notes if getattr(note, "key", "") in LOUD]
-        for note in (*self.notes, *self.details) if whole else folded(loud):
+        warnings = [note for note in self.notes if is_warning(note)]
+        for note in (*self.notes, *self.details) if whole else folded(warnings):
             out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")
         for item in self.tables if whole else self.tables[:1]:
             columns = () if whole else self.columns
@@ -79,7 +71,7 @@ class Answer:
             out += ["", *table_lines(shown, columns, sys.maxsize if whole else width)]
             rest = len(item.rows) - len(shown.rows)
             out += [f"… {plural(rest, 'more row')} with -v", ""] if rest else [""]
-        rest = len(self.notes) - len(loud)
+        rest = len(self.notes) - len(warnings)
         last = [plural(rest, "note") + f" {self.notes_in}"] if rest else []
         last = [] if whole else last
         last += [] if self.place is None else [str(self.place)]

@@ -2,7 +2,9 @@
 
 The catalogue is the folder `messages` beside this file, a TOML file for each part of the package.
 The key ``data.no_time`` is the entry ``no_time`` of ``data.toml``: a template of `str.format` with
-named fields, or a table with the template as ``text`` and what would be right as ``hint``.
+named fields, or a table with the template as ``text`` and what would be right as ``hint``. A
+note of ``level = "warning"`` is shown without -v: what was taken in place of data that are missing,
+and what keeps a rig from moving.
 """
 
 from __future__ import annotations
@@ -78,6 +80,15 @@ def of_log(log: str, note: str) -> Message:
     """A note said of a log by its name, with its key and fields."""
     given = note if isinstance(note, Message) else Message(note)
     return Message(f"{log}: {note}", given.key, given.fields, given.hint)
+
+
+def is_warning(note: str) -> bool:
+    """Whether a note is shown without -v."""
+    part, _, name = getattr(note, "key", "").partition(".")
+    try:
+        return templates(part)[name].get("level") == "warning"
+    except (OSError, KeyError):  # plain text, or a key of another version
+        return False
 
 
 def ranked(messages: Iterable[Message]) -> list[Message]:
