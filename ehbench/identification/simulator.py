@@ -358,6 +358,7 @@ class Simulator:
         self.workers = workers or cores()
         self.effort = Effort()
         self._kept = Kept()
+        self._last: tuple[dict[str, float], Rig] = {}, rig
 
     def over(self, logs: Sequence[Log]) -> Simulator:
         """The same simulator of other logs, with the same cache and count of effort."""
@@ -371,8 +372,7 @@ class Simulator:
         Raises:
             EhbenchError: there is no such rig.
         """
-        changed = self.rig.with_values(self._by_name(values, False), self.known)
-        changed.refuse_misfits()
+        changed = self._rig(values)
         return {
             load: model_of(changed, self.maps, load, self._kept)
             for load in {log.payload for log in self.logs}
@@ -381,10 +381,23 @@ class Simulator:
     def misfit(self, values: Sequence[float]) -> str:
         """Why no rig file may have these values beside one another; empty if it may."""
         try:
-            self.rig.with_values(self._by_name(values, False), self.known).refuse_misfits()
+            self._rig(values)
         except InputError as error:
             return str(error)
         return ""
+
+    def _rig(self, values: Sequence[float]) -> Rig:
+        """The rig at these values, made of the last: what did not change stays the same objects.
+
+        Raises:
+            InputError: no rig file may have these values beside one another.
+        """
+        (before, rig), named = self._last, self._by_name(values, False)
+        moved = {name: value for name, value in named.items() if before.get(name) != value}
+        rig = rig.with_values(moved, self.known)
+        self._last = named, rig
+        rig.refuse_misfits()
+        return rig
 
     def _by_name(self, values: Sequence[float], shared: bool) -> dict[str, float]:
         """The values of the rig's parameters, or those of the sensors that all logs share."""
