@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench import stages
 from ehbench.config.recipe import Recipe, TrialRecipe, kind_of, load_recipe, load_rig
+from ehbench.runs import rundir
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Certificates, Workers
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
@@ -120,6 +121,8 @@ def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
     session, stage = session or Session(), stages.stage_of(recipe)
     if not isinstance(stage, Stage):
         raise InputError(message("stages.no_command", stage=recipe.stage_name), file=recipe.path)
+    if session.out is not None:  # before runs are made that the recipe names
+        rundir.checked_place(session.out)
     prepared = stage.prepare(recipe, session.inputs(recipe))
     under_way = (*session.under_way, recipe.path)
     return stage.run(prepared, replace(session, under_way=under_way))

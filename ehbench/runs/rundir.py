@@ -195,7 +195,7 @@ def open_run(
         InputError: ``final`` contains anything but the files of a run that can be made again, or it
             cannot be written.
     """
-    inputs, final = list(inputs), _resolved(final)
+    inputs, final = list(inputs), checked_place(final)
     left_over = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
@@ -296,7 +296,7 @@ def _volatile(began: float) -> dict[str, Any]:
     }
 
 
-def _resolved(final: Path) -> Path:
+def checked_place(final: Path) -> Path:
     """Where a run's folder really is: a link is followed, never replaced.
 
     Raises:
@@ -304,6 +304,8 @@ def _resolved(final: Path) -> Path:
     """
     try:
         place = final.resolve() if final.is_symlink() else final
+        if Path.cwd().is_relative_to(place.resolve()):
+            raise InputError(message("runs.current_folder"), file=final)
         _survey(place)
     except FileNotFoundError:  # another process is putting its run there
         pass

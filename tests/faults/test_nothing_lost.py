@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench import workflow
 from ehbench.app import starter
 from ehbench.runs import rundir
 from ehbench.runtime import disk
@@ -86,6 +87,23 @@ def test_a_run_is_not_replaced_with_a_file_that_it_did_not_write_or_of_a_machine
         made("out", "two")
     assert caught.value.fields.get("name", "") == name and caught.value.file == "out"
     assert tree("out") == before and not list(place.glob(".*"))
+
+
+@pytest.mark.parametrize("folder", [".", "..", "../../runs"])
+def test_a_run_does_not_replace_the_folder_that_a_user_is_in(folder, place, monkeypatch):
+    (place / "runs" / "empty").mkdir(parents=True)
+    monkeypatch.chdir(place / "runs" / "empty")
+    with refused("runs.current_folder", InputError):
+        made(folder)
+    assert Path.cwd().is_dir()
+
+
+def test_a_folder_is_refused_before_runs_that_a_recipe_names_are_made(place):
+    Path("mine").mkdir()
+    Path("mine/notes.txt").write_text("mine")
+    Path(RECIPE).write_text('stage = "validate"\nrig = "none.toml"\ndata = ["none.csv"]\n')
+    with refused("runs.not_a_run", InputError):
+        workflow.run(RECIPE, workflow.Session(root=place, out=Path("mine")))
 
 
 def test_a_file_put_there_while_the_run_is_made_is_kept(place):
