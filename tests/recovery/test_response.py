@@ -226,7 +226,7 @@ def test_a_run_leaves_numbers_curves_and_a_figure(folder):
     assert [one["key"] for one in index["figures"]] == ["response"]
     page = workflow.report([folder / "run"], workflow.Session(out=folder / "page")).folder
     text = (page / "report.html").read_text()
-    assert "phase passes −90°" in text and f"Gain [({made.rig.unit_of('v')})/V]" in text
+    assert "frequency at −90°" in text and f"Gain [({made.rig.unit_of('v')})/V]" in text
 
 
 def test_a_check_names_a_channel_that_is_not_there(folder):

@@ -18,8 +18,8 @@ from ehbench.vocabulary.terms import Z95
 # key of response.json, what it is called, its unit there and on the page, the factor between them
 NUMBERS = (
     ("delay", "delay by the phase's slope", "ms", 1.0e3),
-    ("bandwidth", "gain 3 dB below its first", "Hz", 1.0),
-    ("quadrature", "phase passes −90°", "Hz", 1.0),
+    ("bandwidth", "bandwidth at −3 dB", "Hz", 1.0),
+    ("quadrature", "frequency at −90°", "Hz", 1.0),
 )
 
 
