@@ -12,17 +12,26 @@ from ehbench.data.record import Record
 from ehbench.flow_maps import fit, results, step_readings, tables
 from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
+from ehbench.parts.cylinder import chamber_oil
+from ehbench.parts.line import drop_for
+from ehbench.parts.oil import bulk_of
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
 from ehbench.tune import arc, draws, linear, study
+from ehbench.tune import loop as loops
+from ehbench.tune import operating_point as steady
+from ehbench.tune.arc_loop import ArcLoop, Sampled, Sensing
 from ehbench.tune.draws import draw_parameters, uncertain
-from ehbench.tune.loop import Law, _off_side_flows, damping_ratio
-from ehbench.tune.operating_point import FED, Aim
+from ehbench.tune.linear import development_model
+from ehbench.tune.loop import Law, Loop, _off_side_flows, close, damping_ratio
+from ehbench.tune.operating_point import FED, Aim, equivalent, operating_point
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.codes import FUNCTIONS
+from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 from tests.settings import answers
-from tests.shared import shipped
+from tests.shared import shipped, slide
 
 TICK = 1e-3
 
@@ -251,6 +260,50 @@ def test_the_motion_of_a_cylinder_is_that_of_its_rod_or_of_its_joint():
     assert motion(boom, q=q, x=t)[0].tolist() == t.tolist()
 
 
+@pytest.mark.parametrize(("more", "blocks"), [(-1, 1), (0, 2), (49, 2)])
+def test_a_chamber_takes_what_moves_it_squeezes_its_oil_and_leaks(more, blocks):
+    """Q = A v + V/β dP/dt + leakage, in whole blocks of 50 samples."""
+    rig = slide().with_values(
+        {
+            f"press.leakage_{end}": value
+            for end, value in (("internal", 2e-12), ("head", 1e-12), ("rod", 3e-12))
+        }
+    )
+    model = Model.of(rig)
+    row, t = model.plant.cylinders[0], np.arange(200) * TICK
+    x, head, rod = 0.1 + 0.05 * t, 8e6 + 2e6 * t, 3e6 - 1e6 * t
+    record = Record(
+        t,
+        {
+            "press.x": x,
+            "press.v": np.full(200, 0.05),
+            "press.p_head": head,
+            "press.p_rod": rod,
+            "p_tank": np.full(200, 2e5),
+        },
+    )
+    window = slice(20, 120 + more)
+    found = list(step_readings._steady_blocks(model, 0, record, window, 0.05))
+    assert [block.first for block in found] == [20, 70][:blocks]
+    for block in found:
+        at = slice(block.first, block.first + 50)
+        p = float(head[at].mean()), float(rod[at].mean())
+        lost = 2e-12 * (p[0] - p[1])
+        for side, (node, speed, rate, leak) in enumerate(
+            (
+                (row.node_head, row.area_head * 0.05, 2e6, lost + 1e-12 * (p[0] - 2e5)),
+                (row.node_rod, -row.area_rod * 0.05, -1e6, -lost + 3e-12 * (p[1] - 2e5)),
+            )
+        ):
+            volume = chamber_oil(row, side, float(x[at].mean()))
+            oil = volume / bulk_of(row, p[side]) * rate
+            assert block.inflow[int(node)] == pytest.approx(speed + oil + leak, rel=1e-6)
+    for off in ({"press.p_head": 1.01 * row.relief_pressure},
+                {"press.p_rod": 0.51 * row.cavitation_pressure}):  # fmt: skip
+        given = Record(t, record.channels | {name: np.full(200, p) for name, p in off.items()})
+        assert not list(step_readings._steady_blocks(model, 0, given, window, 0.05))
+
+
 # --- loops of operating points
 
 
@@ -372,3 +425,290 @@ def test_draws_of_correlations_that_cannot_be_together_are_of_the_nearest():
     with answers(draws, draw_parameters=None):
         found = draws.robustness(given, [], Law(0.0, 0.0, 0.0), {}, None, lambda share: None)
     assert (found.draws, found.parameters) == (0, ("a", "b", "c"))
+
+
+# --- sampled loops
+
+
+def sampled(a, b, c, d) -> Sampled:
+    return Sampled(*(np.atleast_2d(np.asarray(item, float)) for item in (a, b, c, d)))
+
+
+@pytest.mark.parametrize(("late", "lag"), [(0.0, 0.0), (0.25, 0.0), (1.0, 2.0), (2.4, 3.0)])
+def test_a_sampled_loop_swings_by_its_polynomial(late, lag):
+    """Of one state under one of the law's: (z − a)(z − a₂)z³ of all that stands between; a delay
+    of parts of a tick lies on the line between two samples, a lag is that of the pressure."""
+    plant = sampled(0.9, 0.5, [[1.0], [2.0]], [[0.0], [0.0]])
+    law = sampled(0.6, [[0.3, 0.1]], -1.0, [[-0.2, -0.05]])
+    loop = ArcLoop(plant, law, TICK, np.array([False, True]))
+    sensing = Sensing(late * TICK, lag * TICK)
+    keep, whole = math.exp(-1.0 / lag) if lag else 0.0, int(late)
+    share = late - whole
+    between = np.polymul([1.0 - share, share], [0.5])  # over z^(whole + 1)
+    at_law = [np.array([d, -0.6 * d - b]) for d, b in ((-0.2, 0.3), (-0.05, 0.1))]
+    seen = np.polyadd(
+        np.polymul(at_law[0], [1.0, -keep]), np.polymul(at_law[1], [2.0 * (1.0 - keep), 0.0])
+    )
+    left = np.polymul(np.polymul([1.0, -0.9], [1.0, -0.6]), [1.0, -keep])
+    left = np.append(left, np.zeros(whole + 1))
+    roots = np.roots(np.polysub(left, np.polymul(between, seen)))
+    roots = np.log(roots[np.abs(roots) > 1e-6].astype(complex)) / TICK
+    poles = loop.poles(sensing)
+    poles = poles[poles.real * TICK > -5.0]  # others are 0 but for rounding
+    assert np.sort_complex(poles) == pytest.approx(np.sort_complex(roots), rel=1e-6, abs=1e-3)
+    swings = roots[np.abs(roots.imag) > 3.0]
+    assert swings.size == 0 or loop.growth(sensing) == pytest.approx(swings.real.max(), rel=1e-6)
+    omega, loci = loop.loci(sensing)
+    z = np.exp(1j * omega * TICK)
+    through = np.polyval(at_law[0], z) + 2.0 * np.polyval(at_law[1], z) * (1.0 - keep) * z / (
+        z - keep
+    )
+    expected = through / (z - 0.6) * 0.5 / (z - 0.9) * np.exp(-1j * omega * late * TICK)
+    assert loci[:, 0] == pytest.approx(expected)
+    assert (omega[0], omega[-1]) == pytest.approx((3.0, 0.98 * math.pi / TICK))
+
+
+@pytest.mark.parametrize("gains", [(0.3,), (0.3, 0.2), (0.2, 0.35)])
+def test_the_margins_of_sampled_integrators_a_tick_late(gains):
+    """Each z² − z + k: |L| = k/(2 sin ωT/2), which turns by π/2 − 3ωT/2."""
+    one, none = np.eye(len(gains)), np.zeros((len(gains), 0))
+    plant = Sampled(one, one, one, 0.0 * one)
+    sensing, lagged = Sensing(TICK), np.zeros(len(gains), bool)
+
+    def loop(factor: float) -> ArcLoop:
+        law = Sampled(np.zeros((0, 0)), none.T, none, -factor * np.diag(gains))
+        return ArcLoop(plant, law, TICK, lagged)
+
+    k = max(gains)
+    omega = 2.0 * math.asin(0.5 * k) / TICK
+    turn = 0.5 * math.pi - 1.5 * omega * TICK
+    found = loop(1.0).margins(sensing)
+    expected = (1.0 / k, turn, turn / omega, omega)
+    assert found == pytest.approx(expected, rel=1e-4)
+    assert found.stated == pytest.approx(turn / omega / 1.5, rel=1e-4)
+    assert loop(1.0).growth(sensing) == pytest.approx(0.5 * math.log(k) / TICK)
+    assert loop(1.02 / k).margins(sensing) == (0.0,) * 4
+    assert min(loop(0.99 / k).margins(sensing)) > 0.0
+
+
+# --- points
+
+EXTEND = FUNCTIONS.index("extend_resistive")
+
+
+def motion_of(model: Model, function: int = EXTEND, **more: Any) -> Any:
+    here = equivalent(model, 0, np.array([0.2]))
+    return steady._Motion(model, circuit_of(model, 0), function, here, 0, Aim(5e5, 5e5, **more))
+
+
+@pytest.mark.parametrize("v", [0.05, -0.02])
+def test_a_force_on_the_rod_carries_and_damps_a_motion(v):
+    """One that falls by 30 N a m/s from 100 N at rest; both ends of the cylinder balance it."""
+    rig = slide().with_values({"press.leakage_rod": 3e-12, "press.leakage_head": 1e-12})
+    motion = motion_of(Model.of(rig), speed=abs(v))
+    function = next(
+        f
+        for f in range(1, 5)
+        if motion.circuit.able[f]
+        and steady.DIRECTION[f] == np.sign(v)
+        and not steady.OVERRUNNING[f]
+    )
+    given = motion.model, motion.circuit, function, motion.here, 0, motion.aim
+    free = operating_point(*given)
+    with answers(steady, force_on=lambda at, x, v, *_: 100.0 - 30.0 * v):
+        point = operating_point(*given)
+    row = motion.row
+    assert point.v == v and point.friction == pytest.approx(free.friction + 30.0)
+    assert point.load_force == pytest.approx(free.load_force - 100.0 + 30.0 * v)
+    force = row.area_head * point.p_head - row.area_rod * point.p_rod
+    assert force == pytest.approx(point.load_force)
+    flows = np.zeros(2)
+    for path in point.paths:
+        flows += path.flow * steady.INTO[path.path]
+    lost = 1e-12 * (point.p_head - point.p_tank), 3e-12 * (point.p_rod - point.p_tank)
+    across = row.leakage_internal * (point.p_head - point.p_rod)
+    assert flows == pytest.approx(
+        [row.area_head * v + across + lost[0], -row.area_rod * v - across + lost[1]], rel=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("rail", "zero", "found"),
+    [
+        (None, 3e6, 3e6),
+        (1e6, 3e6, 3e6),
+        (1e6, 4e5, 4e5),
+        (4e6, 3e6, 3e6),
+        (None, 2e7, 1e7),
+        (None, -1e7, 1e5),
+        (1e6, 2e7, 1e7),
+    ],
+)
+def test_a_common_opening_is_on_the_rail_or_on_the_line(rail, zero, found):
+    """Surplus of 1 a Pa from ``zero`` on, and on the line above the rail, where it is far below
+    zero or far above it, as the root lies on the other side."""
+    tank, line = 1e5, 1e7
+    jump = 0.0 if rail is None else 1e9 * np.sign(rail - zero) * -1.0
+
+    def railed(at: Any) -> bool:
+        return rail is not None and at < rail
+
+    def surplus(at: float) -> float:
+        other = rail is not None and (at < rail) != (zero < rail)
+        return at - zero + other * jump
+
+    plant = Stub(supply=Stub(pressure=line))
+    motion: Any = Stub(
+        circuit=None,
+        function=EXTEND,
+        p_tank=tank,
+        model=Stub(plant=plant),
+        railed=railed,
+        chambers=lambda force, off: (force, off),
+        ports=lambda v, head, off: (off, np.full(9, 0.5)),
+    )
+    with answers(
+        steady,
+        path_drop=lambda path, at, _: at,
+        _command=lambda _, path, need, drop: (need, path),
+        _flow=lambda _, path, at, command: 0.5 + surplus(at),
+    ):
+        off = steady._Motion.common_opening(motion, 0.1, 5.0)
+    assert off == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("limit", "rail", "top"), [(9.0, 0.0, 0.8), (0.5, 0.0, 0.5 / 2.0), (0.5, 1.0, 0.8)]
+)
+@pytest.mark.parametrize("most", [9.0, 0.15])
+def test_full_speed_is_what_valves_pump_and_pressures_carry(limit, rail, top, most):
+    """Of valves 0.8 m/s, of the pump its flow over 2 m²; where that is impossible, halved in."""
+    motion: Any = Stub(
+        function=EXTEND,
+        circuit=None,
+        settle=lambda v: Stub(p_head=0.0, p_rod=0.0),
+        at_ports=lambda *at: at,
+        railed=lambda at: rail > 0.0,
+        model=Stub(plant=Stub(supply=Stub(flow_limit=limit))),
+        impossible=lambda v: v > most,
+    )
+    with answers(steady, top_speed=0.8, supply_draw=2.0):
+        found = steady._Motion.full_speed(motion)
+    within = 0.8 * 2.0**-steady.POINT.halvings
+    assert found == top if top < most else most - within <= found <= most
+
+
+@pytest.mark.parametrize(
+    ("limit", "rail", "railed", "short"),
+    [
+        (0.9, 1.0, False, True),
+        (1.1, 1.0, False, False),
+        (0.9, 0.0, False, False),
+        (0.9, 1.0, True, False),
+    ],
+)
+def test_a_pump_is_short_of_what_it_feeds_beside_a_rail(limit, rail, railed, short):
+    fed, other = next(iter(FED)), next(p for p in range(9) if p not in FED)
+    paths: Any = [Stub(path=fed, flow=1.0), Stub(path=other, flow=5.0)]
+    supply = Stub(rail=rail, flow_limit=limit)
+    motion: Any = Stub(
+        model=Stub(plant=Stub(supply=supply)), railed=lambda at: railed, ports=lambda *_: (0, 0)
+    )
+    settled: Any = Stub(p_head=0.0, p_rod=0.0)
+    assert steady._Motion.short(motion, 0.1, settled, paths) == short
+
+
+def test_a_line_lies_between_valve_and_chamber():
+    """Its drop is that of the flow into its end; its slope that of its law."""
+    pipe = {"end": "rod", "volume": "0.2 L", "resistance": "2 bar*min/L"}
+    model = Model.of(slide(line=[pipe | {"orifice_gain": "10 gpm/MPa^0.5"}]))
+    motion = motion_of(model)
+    at, _ = motion.ports(0.1, 6e6, 3e6)
+    row, line = motion.row, model.plant.lines[0]
+    into = (
+        -row.area_rod * 0.1 - row.leakage_internal * 3e6 + row.leakage_rod * (3e6 - motion.p_tank)
+    )
+    assert (at.head, at.rod) == pytest.approx((6e6, 3e6 + drop_for(into, line)))
+    for flow in (1e-4, -2e-5, 3e-7):
+        slope = (drop_for(1.0001 * flow, line) - drop_for(0.9999 * flow, line)) / (2e-4 * flow)
+        hose = steady.Hose(1, 0, line, drop_for(flow, line))
+        assert hose.slope == pytest.approx(1.0 / slope, rel=1e-3)
+
+
+def test_what_no_valve_can_do_is_refused():
+    model = Model.of(slide())
+    circuit = circuit_of(model, 0)
+    for function in (0, FUNCTIONS.index("extend_resistive_regeneration")):
+        with pytest.raises(InputError):
+            steady._check(model, circuit, function)
+
+
+# --- loops about points
+
+
+def loop_of(a, b, c, off=None, delay=0.0) -> Loop:
+    a, b, c = (np.asarray(item, float) for item in (a, b, c))
+    off = np.zeros(a.shape) if off is None else off
+    return Loop(a, b, c, b, b, off, math.inf, delay, slice(0))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "limit"),
+    [
+        ([[-2.0]], [1.0], 2.0),
+        ([[1.0]], [1.0], 0.0),
+        ([[-2.0]], [-1.0], math.inf),
+        ([[-1, 1, 0], [0, -1, 1], [0, 0, -1]], [0, 0, -1.0], 8.0),
+    ],
+)
+def test_a_loop_is_stable_up_to_its_limit(a, b, limit):
+    """Of one state its own pole; of three that follow each other eight times it."""
+    c = np.eye(len(b))[0]
+    assert loops.gain_limit(loop_of(a, b, c), np.geomspace(1e-3, 1e3, 61)) == pytest.approx(limit)
+
+
+def test_a_loop_is_cut_at_its_feedback_and_at_its_off_side():
+    a = np.array([[-1.0, 2.0, 0.5], [0.0, -3.0, 1.0], [0.3, 0.0, -2.0]])
+    off = np.outer([1.0, -2.0, 0.5], [0.0, 0.7, 0.4])
+    loop = loop_of(a, [0.2, 0.0, 1.0], [1.0, -1.0, 0.0], off)
+    first, second = loops._open_loops(loop, 0.5)
+    assert np.outer(first.b, first.c) == pytest.approx(-0.5 * np.outer(loop.b, loop.c))
+    assert first.a is loop.a and np.outer(second.b, second.c) == pytest.approx(-off)
+    assert second.a == pytest.approx(a + 0.5 * np.outer(loop.b, loop.c) - off)
+    assert len(loops._open_loops(loop, 0.0)) == 1
+    assert len(loops._open_loops(replace(loop, off=0.0 * off), 0.5)) == 1
+
+
+@pytest.mark.parametrize("function", ["extend_resistive", "retract_resistive"])
+@pytest.mark.parametrize("feedback", ["metered", "load"])
+@pytest.mark.parametrize("delay", [0.0, 4e-3])
+def test_a_loop_about_a_point_is_its_law_and_its_linear_model(function, feedback, delay):
+    """In frequencies: the valve inverts its metering edge at a late drop; fed back is the metered
+    pressure, or A₁P₁ − A₂P₂ over its area, washed out twice."""
+    motion = motion_of(Model.of(slide()), FUNCTIONS.index(function), share=0.5)
+    point = operating_point(
+        motion.model, motion.circuit, motion.function, motion.here, 0, motion.aim
+    )
+    linear = development_model(motion.model, point)
+    loop = close(linear, point, motion.circuit, Law(3.0, 0.0, delay, 7.0, feedback))
+    assert loop.fastest == (2.5 / delay if delay else math.inf)
+    (path,) = (item for item in point.paths if item.metering)
+    areas, own = np.array([motion.row.area_head, -motion.row.area_rod]), 0 if point.v > 0.0 else 1
+    size = len(linear.a)
+    fed, back, drop = np.zeros((3, size))
+    fed[0], back[1:3] = 1.0, np.eye(2)[own] if feedback == "metered" else areas / areas[own]
+    drop[1:3] = steady.INTO[path.path]
+    for s in (0.1 + 2.0j, 5.0 + 90.0j, 400.0j):
+        first = 6.0 / delay if delay else 0.0
+        late = 1.0 - 2.0 * first * s / (s**2 + first * s + first * first / 3.0)
+        order = np.outer(linear.b[:, 0], path.slope / path.gain * late * drop)
+        rest = s * np.eye(size) - linear.a - order
+        flow, push = (np.linalg.solve(rest, side) for side in (linear.b[:, 0], linear.e))
+        scaled = s * np.eye(len(loop.a)) - loop.a
+        washed = late * s**2 / ((s + 3.0) * (s + 7.0)) * back
+        for c, b, expected in (
+            (loop.c, loop.b, -washed @ flow / path.gain),
+            (np.eye(len(loop.a))[0], loop.d, fed @ flow * areas[own] / path.gain),
+            (np.eye(len(loop.a))[0], loop.e, fed @ push),
+        ):
+            assert c @ np.linalg.solve(scaled, b) == pytest.approx(expected, rel=1e-6)
