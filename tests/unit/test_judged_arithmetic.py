@@ -16,7 +16,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED
 from ehbench.preprocessing.observations import least_change
 from ehbench.preprocessing.preparation import PreparedLog
-from ehbench.validation import baseline, held_out, judge, sweeps
+from ehbench.validation import baseline, checks, held_out, judge, sweeps
 from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.validation.results import (
     BlackBox,
@@ -26,7 +26,7 @@ from ehbench.validation.results import (
     Ring,
     speaking_against,
 )
-from ehbench.validation.transients import steps_only, transients_of, why_not_judged
+from ehbench.validation.transients import stands, steps_only, transients_of, why_not_judged
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.terms import Z95
 from tests.settings import answers
@@ -47,8 +47,8 @@ def rng():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_command_keeps_its_value_until_it_is_off_by_more_than_its_noise(sign):
-    given = sign * np.array([0.2, 0.7, -0.2, 1.0, 1.4, 0.6, 0.49, 0.3, -0.4])
-    held = sign * np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 0.49, 0.49, -0.4])
+    given = sign * np.array([0.2, 0.7, -0.2, 1.0, 1.4, 0.6, 0.49, 0.3, -0.2])
+    held = sign * np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 0.49, 0.49, -0.2])
     assert steps_only(given, 0.5).tolist() == held.tolist()
 
 
@@ -68,15 +68,36 @@ def test_a_window_is_as_long_as_its_damped_periods(omega, damping, std, key, fie
     assert {name: note.fields[name] for name in fields} == pytest.approx(fields)
 
 
-def test_halves_that_ring_otherwise_are_told_in_hertz():
+@pytest.mark.parametrize(
+    ("first", "second", "std"), [(50.0, 75.0, 0.01), (75.0, 50.0, 0.01), (50.0, 75.0, 6.0)]
+)
+def test_halves_that_ring_otherwise_are_told_in_hertz(first, second, std):
+    """By more than 0.15 · 50 and three standard errors."""
     t = np.arange(2000) * TICK
-    swing = np.exp(-1.0 * t) * np.sin(np.where(t < 1.0, 50.0 * t, 50.0 + 75.0 * (t - 1.0)))
+    turn = np.where(t < 1.0, first * t, first + second * (t - 1.0))
+    swing = np.exp(-1.0 * t) * np.sin(turn)
     result: Any = Stub(natural_frequency=50.0, damping_ratio=0.02, damping_ratio_std=1e-4, stop=2.0)
-    result.natural_frequency_std = 0.01
+    result.natural_frequency_std = std
     note: Any = why_not_judged(t, swing[:, None], result)
+    if std > 1.0:
+        assert note == ""
+        return
     assert note.key == "validation.halves_differ"
     assert note.fields["half"] == pytest.approx(75.0 / (2.0 * math.pi), rel=0.01)
     assert note.fields["whole"] == pytest.approx(50.0 / (2.0 * math.pi))
+
+
+@pytest.mark.parametrize(
+    ("levels", "stand"),
+    [
+        ([0.0, 0.9, 1.0, 1.0, 1.0, 1.09, 1.09, 1.09], True),
+        ([0.0, 0.9, 1.0, 1.0, 1.0, 1.11, 1.11, 1.11], False),
+        ([1.0, 0.9, 0.0, 0.0, 0.0, 0.0, -0.1, -0.15], False),
+        ([1.0, 0.9, 0.0, 0.0, 0.15, -0.15, 0.0, 0.0], True),
+    ],
+)
+def test_a_command_stands_whose_thirds_differ_by_a_tenth_of_its_step(levels, stand):
+    assert stands(np.column_stack([levels, np.full(8, 3.0)]), 2) == stand
 
 
 @pytest.mark.parametrize(
@@ -105,6 +126,37 @@ def test_a_ringing_is_clear_that_lasts_and_a_black_box_counts_where_it_is_told()
     assert Ring(10.0, 0.1, 0.1, 0.01, 5.0).clear
     assert not Ring(10.0, 0.1, 0.1, 0.01, 0.5).clear and not Ring().clear
     assert not BlackBox().counts
+
+
+@pytest.mark.parametrize(
+    ("key", "shown", "scale"),
+    [("natural_frequency", ("6 ± 0.2 Hz", "5 ± 0.1 Hz"), 2.0 * math.pi),
+     ("damping_ratio", ("6 ± 0.2", "5 ± 0.1"), 1.0)],
+)  # fmt: skip
+@pytest.mark.parametrize("limit", [0.11, 0.105])
+def test_the_worst_ringing_is_off_by_its_share_less_two_errors(key, shown, scale, limit):
+    """6 ± 0.2 against 5 ± 0.1: 0.2 − 2·√0.05/5; the one that is off by more is known less."""
+
+    def side(value, std):
+        return (
+            Stub(**{key: scale * value, f"{key}_std": scale * std}, natural_frequency=1.0)
+            if key == "damping_ratio"
+            else Stub(**{key: scale * value, f"{key}_std": scale * std})
+        )
+
+    windows: Any = [
+        Stub(start=1.0, recorded=side(5.0, 0.1), simulated=side(6.0, 0.2)),
+        Stub(start=2.0, recorded=side(5.0, 0.1), simulated=side(7.0, 0.9)),
+    ]
+    found = checks._ringing_check("press", key, windows, limit)
+    told: Any = found.sentence
+    assert found.reached == pytest.approx(0.2) and told.fields["time"] == 1.0
+    assert found.passed == (0.2 - 0.4 * math.sqrt(0.05) <= limit)
+    assert (told.fields["simulated"], told.fields["recorded"]) == shown
+    windows[1].simulated = Stub(natural_frequency=None, reason="it is still")
+    none = checks._ringing_check("press", key, windows, 9.0)
+    told = none.sentence
+    assert not none.passed and none.reached is None and told.fields["time"] == 2.0
 
 
 # --- sweeps

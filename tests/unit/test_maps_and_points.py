@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.flow_maps import fit, results, step_readings, tables
+from ehbench.flow_maps import fit, results, shape, step_readings, tables
 from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.parts.cylinder import chamber_oil
@@ -17,7 +18,7 @@ from ehbench.parts.line import drop_for
 from ehbench.parts.oil import bulk_of
 from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
-from ehbench.tune import arc, draws, linear, study
+from ehbench.tune import arc, draws, linear, search, study
 from ehbench.tune import loop as loops
 from ehbench.tune import operating_point as steady
 from ehbench.tune.arc_loop import ArcLoop, Sampled, Sensing
@@ -25,13 +26,14 @@ from ehbench.tune.draws import draw_parameters, uncertain
 from ehbench.tune.linear import development_model
 from ehbench.tune.loop import Law, Loop, _off_side_flows, close, damping_ratio
 from ehbench.tune.operating_point import FED, Aim, equivalent, operating_point
+from ehbench.tune.results import functions_of
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 from tests.settings import answers
-from tests.shared import shipped, slide
+from tests.shared import refused, shipped, slide
 
 TICK = 1e-3
 
@@ -302,6 +304,243 @@ def test_a_chamber_takes_what_moves_it_squeezes_its_oil_and_leaks(more, blocks):
                 {"press.p_rod": 0.51 * row.cavitation_pressure}):  # fmt: skip
         given = Record(t, record.channels | {name: np.full(200, p) for name, p in off.items()})
         assert not list(step_readings._steady_blocks(model, 0, given, window, 0.05))
+
+
+@pytest.mark.parametrize("noise", [0.3, 4.0])
+def test_hysteresis_is_what_up_and_down_differ_by_over_the_slope(noise):
+    """Of a map 0.1 u² s: a regression through zero, its error no less than that of the noise;
+    readings below the deadband, of no way, silent, alone or left out say nothing."""
+    rng = np.random.default_rng(4)
+    u, s = np.linspace(0.5, 9.5, 60), np.linspace(0.3, 1.0, 60)
+    r: Any = Stub(commands=np.array([0.0, 10.0]), u=u, s=s, cell=np.arange(60))
+    r.sweep, r.silent = np.tile([1, -1, 0], 20), np.arange(60) == 30
+    std = 1e-3 * (1.0 + u)
+    lever = np.where(u > 2.0, -0.1 * r.sweep * u * s, 0.0)
+    residuals = 0.3 * lever + noise * std * rng.standard_normal(60)
+    keep = np.arange(60) != 40
+    solution: Any = Stub(at=lambda u, s: 0.1 * u**2 * s, flow=None, lone=np.arange(60) == 50)
+    for k in (30, 40, 50):
+        residuals[k] += 9.0
+    result: Any = Stub(readings=r, solution=solution, keep=keep, residuals=residuals)
+    result.deadband, result.noise = Stub(value=2.0), Stub(std=lambda *_: std)
+    value, error = fit._hysteresis_of(result)
+    use = (r.sweep != 0) & ~np.isin(np.arange(60), [30, 40, 50])
+    design, seen = (lever / std)[use], (residuals / std)[use]
+    (expected,), squares, *_ = np.linalg.lstsq(design[:, None], seen, rcond=None)
+    scatter = max(float(squares[0]) / (use.sum() - 1), 1.0)
+    assert (scatter > 1.0) == (noise > 1.0)
+    assert value == pytest.approx(expected)
+    assert error == pytest.approx(math.sqrt(scatter / (design @ design)))
+    for quiet in (Stub(sweep=np.maximum(r.sweep, 0)), Stub(u=np.full(60, 1.0))):
+        result.readings = Stub(**vars(r) | vars(quiet))
+        assert fit._hysteresis_of(result) == (0.0, 0.0)
+
+
+def shifting(now: float, value=1.0, one_drop=False) -> Any:
+    """A fit whose deadband shifts by so much."""
+    r: Any = Stub(shift=now, commands=[0.0, 10.0], one_drop=one_drop, levels=[0.0, 10.0])
+    r.shifted = float
+    bent: Any = Stub(deadband=1.0, above=np.array([1.5, 9.0]), smoothing=0.0)
+    bent.spline = lambda deadband: deadband
+    return Stub(readings=r, shape=bent, used=Stub(shifted=lambda more: now + more),
+                deadband=Stub(value=value), solution=Stub(widening=1.0))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("true", "value", "found"),
+    [(0.2, 1.0, 0.2), (-0.35, 1.0, -0.35), (0.7, 0.2, 0.4), (0.2, 0.0, 0.0)],
+)
+@pytest.mark.parametrize(("gain", "sure"), [(1e6, True), (0.1, False)])
+def test_a_shift_is_sought_within_twice_the_deadband(true, value, found, gain, sure):
+    """By halves of its step; one that gains too little over the map without is none."""
+    with answers(fit, replace=lambda item, **_: item, start_deadband=None,
+                 likeliest_smoothing=lambda _, at, coarse: (None, gain * (at - true) ** 2),
+                 regression=lambda *_: Stub(solve=lambda _: (None, 1e9))):  # fmt: skip
+        shift, std = fit._shift_of(shifting(0.0, value))
+    end, sure = 0.1 * fit.SETTINGS.shift * 10.0, sure and found != 0.0
+    assert shift == pytest.approx(found if sure else 0.0, abs=end if sure else 0.0)
+    assert std == pytest.approx(end if sure else 0.0)
+    assert fit._shift_of(shifting(0.0, one_drop=True)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("scale", [1e4, 1.0, -1e4])
+def test_a_shift_ends_where_its_likelihood_does(scale):
+    """−2 log L = 9 a² + 4 a b + 3 b² about its least, times a scale: its error is √(2 H⁻¹)."""
+    end, seen = 0.1 * fit.SETTINGS.shift * 10.0, []
+    a, b = 1.0 - 0.3 * end, 0.3 + 0.4 * end
+
+    def likelihood(deadband, shift):
+        off = deadband - a, shift - b
+        value = scale * (9.0 * off[0] ** 2 + 4.0 * off[0] * off[1] + 3.0 * off[1] ** 2)
+        return Stub(solve=lambda _: (None, value))
+
+    with answers(fit, replace=lambda item, above: seen.append(above) or item,
+                 regression=likelihood):  # fmt: skip
+        shift, std = fit._shift_of(shifting(0.3))
+    assert all(above == pytest.approx([1.5, 10.0 + 10.0 * end]) for above in seen)
+    error = (
+        math.sqrt(2.0 * np.linalg.inv(scale * np.array([[18.0, 4.0], [4.0, 6.0]]))[1, 1])
+        if scale > 0
+        else end
+    )
+    expected = (b if scale > 0 else 0.3, error) if scale != 1.0 else (0.0, 0.0)
+    assert (shift, std) == pytest.approx(expected, abs=1e-4 if scale < 0 else 6e-5)
+
+
+def test_a_misfit_counts_what_both_keep_over_the_noise_of_one():
+    """(1/1)² + (2/2)² over a lack of 4, and twice three parameters."""
+    one: Any = Stub(
+        readings=None,
+        residuals=np.array([1.0, 2.0, 3.0, 9.0]),
+        keep=np.array([True, True, False, True]),
+        solution=Stub(parameters=3.0),
+    )
+    by: Any = Stub(
+        noise=Stub(std=lambda *_: np.array([1.0, 2.0, 1.0, 1.0])),
+        keep=np.array([True, True, True, False]),
+        solution=Stub(flow=None, lack=4.0),
+    )
+    assert fit._misfit(one, by) == pytest.approx(0.5 + 6.0)
+
+
+@pytest.mark.parametrize("least", [(-4.5, -2.25), (-2.25, -4.5), (-12.0, 0.0), (0.0, -11.75)])
+@pytest.mark.parametrize("coarse", [True, False])
+def test_penalties_are_the_likeliest_of_a_lattice_of_quarter_decades(least, coarse):
+    work: Any = Stub(unit=np.array([2.0, 3.0]))
+    work.score = lambda p: (p[0] - least[0]) ** 2 + 2.0 * (p[1] - least[1]) ** 2
+    plain = shape.Shape(
+        1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.array([2e-6, 3e-6])
+    )
+    with answers(shape, regression=work):
+        found, value = shape.likeliest_smoothing(plain, None, coarse)  # pyright: ignore[reportArgumentType]
+        along = [shape.roughly_smoothed(plain, None, k) for k in (0, 1)]  # pyright: ignore[reportArgumentType]
+    if coarse or max(abs(x + 6.0) for x in least) <= 5.0:
+        assert np.log10(found.smoothing / work.unit) == pytest.approx(least)
+        assert value == 0.0
+    for k, (item, score) in enumerate(along):
+        at = np.log10(item.smoothing / work.unit)
+        assert at[1 - k] == pytest.approx(-6.0)
+        nearest = min(shape._COARSE, key=lambda x: abs(x - least[k]))
+        assert at[k] == pytest.approx(nearest)
+        assert score == pytest.approx(work.score(at))
+
+
+def rows_of(valve="servo_supply_head", way="forward", size=20, **columns: Any):
+    given = {
+        "command": np.linspace(0.5, 5.0, size),
+        "drop": np.full(size, 1e6),
+        "flow": np.linspace(1e-5, 1e-4, size),
+    } | columns
+    first = [given.pop(name) for name in ("command", "drop", "flow")]
+    return readings_table(*first, valve=valve, direction=way, **({"file": "a/b.csv"} | given))
+
+
+@pytest.mark.parametrize(
+    ("rig", "valve", "way", "sign", "name", "side"),
+    [
+        ("slide_servo", "servo_supply_rod", "forward", -1, "servo_supply_rod", "forward"),
+        ("slide_servo", "press.servo_rod_tank", "reverse", 1, "servo_rod_tank", "reverse"),
+        ("slide_servo", "servo", "head -> tank", -1, "servo_head_tank", "forward"),
+        ("slide_servo", "press.servo", "tank->rod", 1, "servo_rod_tank", "reverse"),
+        ("thesis_arm", "stick.servo", "supply->head", 1, "stick.servo_supply_head", "forward"),
+        ("thesis_arm", "boom.regen", "reverse", 1, "regen", "reverse"),
+        ("slide_servo", "servo", "forward", 1, "flow_maps.several_edges", ""),
+        ("slide_servo", "servo", "head->rod", 1, "flow_maps.unknown_direction", ""),
+        ("slide_servo", "servo_supply_hed", "forward", 1, "flow_maps.unknown_edge_near", ""),
+        ("slide_servo", "pump", "forward", 1, "flow_maps.unknown_edge", ""),
+        ("slide_servo", "servo_supply_rod", "forward", 1, "flow_maps.wrong_sign", ""),
+        ("slide_servo", "servo_supply_head", "forward", -1, "flow_maps.wrong_sign", ""),
+        ("slide_servo", "servo_supply_head", "forward", 2.03, "", "forward"),
+        ("slide_servo", "servo_supply_head", "forward", 2.05, "flow_maps.outside_driver", ""),
+    ],
+)
+def test_readings_go_to_the_edge_that_they_name(rig, valve, way, sign, name, side):
+    """With commands as openings, up to a hundredth of 20 V beyond 10 V."""
+    rows = rows_of(valve, way, command=sign * np.linspace(0.5, 5.0, 20))
+    if not side:
+        with refused(name):
+            tables.prepare_readings(shipped(rig), [rows])
+        return
+    (edge,) = tables.prepare_readings(shipped(rig), [rows]).edges
+    assert (edge.edge, edge.side) == (name or valve, side)
+    assert edge.sign == np.sign(sign) and edge.rows.file[0] == "b.csv"
+    assert edge.rows.command == pytest.approx(abs(sign) * np.linspace(0.5, 5.0, 20))
+
+
+@pytest.mark.parametrize(
+    ("flow", "ratio"),
+    [(1e-4, None), (1.1e-6, None), (0.9e-6, 0.9e-3), (0.019, None), (0.022, 20.9)],
+)
+def test_flows_far_from_what_the_supply_can_give_are_told(flow, ratio):
+    """1 L/s: below a thousandth of it all, or above twenty times nine of ten."""
+    (edge,) = tables.prepare_readings(
+        shipped("slide_servo"), [rows_of(flow=flow * np.linspace(0.5, 1.0, 21)[:-1] / 0.975)]
+    ).edges
+    told: list[Any] = list(edge.notes)
+    assert [note.fields["ratio"] for note in told] == pytest.approx(
+        [ratio] if ratio else [], rel=2e-3
+    )
+
+
+@pytest.mark.parametrize(("again", "lines"), [(3, "18, 19, 20"), (6, "15, 16, 17, 18, 19, …")])
+def test_rows_that_stand_twice_are_told(again, lines):
+    """Nothing is of a meter at rest."""
+    flow = np.linspace(0.0, 1e-4, 20)
+    command = np.linspace(0.5, 5.0, 20)
+    for values in (flow, command):
+        values[20 - again :] = values[1]
+        values[2:4] = values[0]
+    (note,) = tables._file_notes(rows_of(flow=flow, command=command))
+    told: Any = note
+    assert (told.fields["count"], told.fields["lines"]) == (again, lines)
+
+
+@pytest.mark.parametrize("by", ["drop", "command"])
+def test_a_temperature_that_goes_with_the_readings_is_told(by):
+    """From 40 to 45 °C, with the root of the drop or with the command; what says nothing of it
+    does not count."""
+    part = np.linspace(0.0, 1.0, 22)
+    rows: Any = Stub(pressure_drop=np.full(22, 4e6), command=np.full(22, 2.0))
+    if by == "drop":
+        rows.pressure_drop = 1e6 * (1.0 + part) ** 2
+    else:
+        rows.command = 1.0 + part
+    rows.temperature = 273.15 + 40.0 + 5.0 * part
+    rows.pressure_drop[7], rows.temperature[7], rows.temperature[8] = 0.0, 400.0, np.nan
+    show = tables._units(shipped("slide_servo"), 1)
+    (note,) = tables._warming(rows, show, "degC")
+    told: Any = note
+    assert told.key == f"flow_maps.warm_with_{by}"
+    assert told.fields["correlation"] == pytest.approx(1.0)
+    assert (told.fields["cold"], told.fields["warm"]) == ("40 degC", "45 degC")
+    ends = ("10 bar", "40 bar") if by == "drop" else ("1 V", "2 V")
+    assert (told.fields["low"], told.fields["high"]) == ends
+    rows.temperature[:] = 313.0
+    assert list(tables._warming(rows, show, "degC")) == []
+
+
+def test_a_table_of_points_has_every_reading_with_its_fitted_flow():
+    """A drop that was not measured is the nominal one; at a hysteresis the fitted flow is that of
+    the reading's own side."""
+    rows = rows_of(
+        "servo",
+        size=3,
+        command=np.array([1.0, 2.0, 3.0]),
+        method="meter",
+        drop=np.array([1e6, np.nan, 2e6]),
+        flow=np.array([1e-4, 2e-4, 4e-4]),
+    )
+    built: Any = Stub(valve="servo", direction="forward", drop_max=5e6, rated_flow=1e-4)
+    built.flow = lambda drop, u: 1e-4 * u + 1e-12 * drop
+    fit: Any = Stub(rows=rows, map=built, sign=-1, residuals=np.array([0.0, 1e-5, np.nan]))
+    fit.outliers = (Stub(file="a/b.csv", line=2),)
+    head, *lines = tables.points_table([fit], shipped("slide_servo")).splitlines()
+    assert head.startswith("valve,direction,command [V],driver_command [V],pressure_drop [bar],")
+    assert lines == [
+        "servo,forward,1,-1,10,6,6.06,meter,0,a/b.csv,1",
+        "servo,forward,2,-2,50,12,11.4,meter,1,a/b.csv,2",
+        "servo,forward,3,-3,20,24,18.12,meter,0,a/b.csv,3",
+    ]
 
 
 # --- loops of operating points
@@ -712,3 +951,56 @@ def test_a_loop_about_a_point_is_its_law_and_its_linear_model(function, feedback
             (np.eye(len(loop.a))[0], loop.e, fed @ push),
         ):
             assert c @ np.linalg.solve(scaled, b) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("demand", "gain", "key"), [(0.0, 1.0, ""), (5.0, 0.5, "limited_gain"), (1e3, 1.0, "no_gain")]
+)
+def test_a_gain_has_the_best_worst_damping_that_keeps_the_demands(demand, gain, key):
+    """0.5 + 0.2 z and 1 − 0.3 z over z = ln K meet at 1; a margin of 10/K."""
+
+    def loop(level, slope):
+        z = lambda gain: np.log(np.maximum(gain, 1e-9))  # noqa: E731
+        return Stub(damping_ratio=lambda gain: level + slope * z(gain))
+
+    motions: Any = [Stub(loop=lambda _, of=of: loop(*of)) for of in ((0.5, 0.2), (1.0, -0.3))]
+    gains = np.concatenate([[0.0], np.exp(np.arange(-2.0, 3.1, 0.5))])
+    notes: list[Any] = []
+    with answers(search, margins=lambda loop, gain: Stub(gain_margin=10.0 / gain)):
+        found = search.choose_gain(motions, Law(0, 0, 0), gains, {"gain_margin": demand}, notes)
+    assert math.log(found) == pytest.approx(gain, abs=2e-3)
+    assert [note.key for note in notes] == ([f"tune.{key}"] if key else [])
+    if key == "limited_gain":
+        assert notes[0].fields["share"] == pytest.approx(math.exp(-0.5), rel=2e-3)
+        assert notes[0].fields["damping"] == pytest.approx(0.7, abs=1e-3)
+    best = search.best_gain(motions, Law(0, 0, 0), gains)
+    assert best == pytest.approx((0.7, math.e))
+
+
+# --- what is told of a circuit
+
+
+def test_a_function_is_told_with_its_edges():
+    """Each by the title of its valve, if that has no other."""
+    arm = shipped("thesis_arm")
+    circuit = circuit_of(Model.of(arm), 1)
+    uses = {use.name: use for use in functions_of(arm, circuit)}
+    crosses = {name: use.cross for name, use in uses.items() if use.cross}
+    back = ("extend_overrunning_regeneration", "extend_resistive_regeneration")
+    assert crosses == dict.fromkeys(back, "rod_head") | {
+        "retract_overrunning_regeneration": "head_rod"
+    }
+    draws = circuit.area_head, circuit.area_head - circuit.area_rod
+    assert (uses["extend_resistive"].draws, uses[back[0]].draws) == pytest.approx(draws)
+    out, feed, across, *_ = uses[back[1]].edges
+    assert (out.way, feed.way, across.way) == (0, 1, -1)
+    assert (out.meters, feed.meters, across.meters) == (False, True, False)
+    assert (out.shares, feed.shares, feed.name) == ((0, 0), (1, -1), "Valve 2: HEPC")
+    for name, title in (("slide_servo", "Servo"), ("boom_four_valve", "")):
+        plain = shipped(name).as_toml()
+        for valve in plain["cylinder"][0]["valve"]:
+            valve["title"] = title
+        rig = Rig.model_validate(plain)
+        (use, *_) = functions_of(rig, circuit_of(Model.of(rig), 0))
+        names = [valve.edge_name(edge) for _, valve, edge in rig.edges()]
+        assert [edge.name for edge in use.edges] == names
