@@ -269,6 +269,45 @@ def test_a_black_box_is_shown_over_what_is_scored(rng):
         assert baseline._with_fits(same, odd, {"ram.v": box}).channels == (other,)
 
 
+@pytest.mark.parametrize(
+    ("status", "training", "fitted", "shown", "counts"),
+    [
+        (("held_out", "fitted", "held_out"), 0, ("b",), "ac", True),
+        (("held_out", "held_out", "held_out"), 1, ("t",), "abc", True),
+        (("held_out", "fitted", "held_out"), 1, ("t", "b"), "ac", True),
+        (("held_out", "held_out", "held_out"), 0, ("a",), "bc", False),
+        (("fitted", "fitted", "failed"), 0, (), "", True),
+    ],
+)
+def test_a_black_box_is_fitted_to_what_the_model_was_or_to_the_first(
+    status, training, fitted, shown, counts
+):
+    item = ChannelResult("ram.v", "m/s", 50.0, 0.0, 0.0, 0.0)
+    other = replace(item, channel="ram.x", fit_percent=None)
+    logs = [
+        LogResult(n, "none", s, 1.0, TICK, channels=(item, other))
+        for n, s in zip("abc", status, strict=True)
+    ]
+    asked = {}
+
+    def fit(channel, records):
+        asked[channel] = tuple(records)
+        return Stub(poles=np.zeros(2), tick=4e-3)
+
+    with answers(
+        baseline,
+        fit=fit,
+        _with_fits=lambda log, record, _: replace(log, name=log.name + record),
+        _better=lambda log: [log.name],
+    ):
+        found, box, better = baseline.black_boxes(logs, ["a", "b", "c"], [("t", "t")] * training)
+    assert asked == ({"ram.v": fitted} if shown else {})
+    assert (box.fitted, box.counts) == (fitted, counts)
+    assert box.orders == ({"ram.v": (2, 4e-3)} if shown else {})
+    assert [log.name for log in found] == [2 * n if n in shown else n for n in "abc"]
+    assert better == ([2 * n for n in shown] if counts else [])
+
+
 # --- residuals
 
 

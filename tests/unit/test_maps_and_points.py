@@ -11,17 +11,24 @@ import pytest
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.flow_maps import fit, results, shape, step_readings, tables
-from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
+from ehbench.flow_maps.readings import (
+    Cells,
+    FlowMapOptions,
+    Noise,
+    measure_noise,
+    readings_table,
+    sort_readings,
+)
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.line import drop_for
 from ehbench.parts.oil import bulk_of
 from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
-from ehbench.tune import arc, draws, linear, search, study
+from ehbench.tune import arc, draws, gains, linear, search, study
 from ehbench.tune import loop as loops
 from ehbench.tune import operating_point as steady
-from ehbench.tune.arc_loop import ArcLoop, Sampled, Sensing
+from ehbench.tune.arc_loop import ArcLoop, LoopMargins, Sampled, Sensing
 from ehbench.tune.draws import draw_parameters, uncertain
 from ehbench.tune.linear import development_model
 from ehbench.tune.loop import Law, Loop, _off_side_flows, close, damping_ratio
@@ -543,6 +550,65 @@ def test_a_table_of_points_has_every_reading_with_its_fitted_flow():
     ]
 
 
+def test_a_display_rounds_by_its_smallest_step_over_the_root_of_twelve():
+    """Of each method its own; steps of rounding are none."""
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(1.0, 6.0), np.arange(1.0, 7.0)))
+    method = np.where(np.arange(30) % 2, "meter", "cylinder")
+    flow = 1e-6 * np.arange(1.0, 31.0) * np.where(method == "meter", 1.0, 2.0)
+    flow[3] = flow[5] * (1.0 + 1e-13)
+    r = sort_readings(
+        "map", readings_table(command, 1e6 * drop, flow, method=method), FlowMapOptions()
+    )
+    assert r.digit == pytest.approx(
+        {"cylinder": 4e-6 / r.rated / 12**0.5, "meter": 2e-6 / r.rated / 12**0.5}
+    )
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_noise_is_the_scatter_of_repeats_or_what_a_map_leaves(times):
+    """Over its degrees of freedom: n − 1 of n readings of a cell, or one less the leverage, of
+    which a tenth stays; silent readings, left out ones, and a map of no flow."""
+    size = 30 * times
+    rng = np.random.default_rng(6)
+    r: Any = Stub(cell=np.repeat(np.arange(30), times), y=0.01 * rng.standard_normal(size))
+    r.method, r.silent = np.full(size, "meter"), np.arange(size) == 2
+    keep, leverage = np.arange(size) != 9, np.where(np.arange(size) % 2, 0.3, 0.97)
+    found = measure_noise(r, Noise({"meter": (9.0, 9.0)}), keep, leverage, np.zeros(size))
+    use = keep & ~r.silent
+    if times == 1:
+        squares, dof = r.y[use] ** 2, np.maximum(1.0 - leverage, 0.1)[use].sum()
+    else:
+        groups = [r.y[use & (r.cell == k)] for k in range(30)]
+        squares = np.concatenate([(y - y.mean()) ** 2 for y in groups])
+        dof = use.sum() - 30.0
+    floor, share = found.methods["meter"]
+    assert (floor, share) == (pytest.approx(math.sqrt(squares.sum() / dof)), 0.0)
+    assert found.replicates == (0 if times == 1 else dof)
+
+
+@pytest.mark.parametrize("share", [0.03, 0.3])
+def test_noise_that_goes_with_the_flow_is_a_share_of_it(share):
+    flow = np.repeat(np.linspace(0.1, 1.0, 40), 25)
+    rng = np.random.default_rng(7)
+    r: Any = Stub(cell=np.repeat(np.arange(40), 25), silent=np.zeros(1000, bool))
+    r.y, r.method = flow * (1.0 + share * rng.standard_normal(1000)), np.full(1000, "meter")
+    found = measure_noise(r, Noise({"meter": (0.0, 0.0)}), r.y < 9.0, 0.0 * flow, flow)
+    # by 960 degrees of freedom to 2.3 %, and the lattice of ratios to as much
+    assert found.methods["meter"][1] == pytest.approx(share, rel=0.08)
+    assert found.methods["meter"][0] < 0.02 * share and found.replicates == 960
+
+
+def test_cells_shift_about_half_of_the_largest_drop_and_lose_their_weight():
+    s = np.array([0.0, 0.5, 1.0])
+    cells = Cells(np.array([1.0, 2.0, 3.0]), s, s, np.ones(3), np.ones(3), s, 0)
+    assert cells.shifted(0.2).u == pytest.approx([1.1, 2.05, 2.9])
+    assert cells.shifted(0.0) is cells and cells.without(np.zeros(3, bool)) is cells
+    some = cells.without(np.array([False, True, False]))
+    assert some.weight.tolist() == [1.0, 0.0, 1.0] and some.weighed == 2
+    assert cells != some and cells == replace(cells, u=cells.u.copy())
+    assert len({cells, some, replace(some)}) == 2
+
+
 # --- loops of operating points
 
 
@@ -1004,3 +1070,208 @@ def test_a_function_is_told_with_its_edges():
         (use, *_) = functions_of(rig, circuit_of(Model.of(rig), 0))
         names = [valve.edge_name(edge) for _, valve, edge in rig.edges()]
         assert [edge.name for edge in use.edges] == names
+
+
+# --- gains, draws, margins
+
+
+@pytest.mark.parametrize("one", [True, False])
+def test_each_function_has_its_gain_or_all_have_one(one):
+    """One that no load calls for has the least."""
+    motions = [Stub(point=Stub(function=f), counts=f != "c") for f in "aabc"]
+    given: Any = Stub(motions=motions, recipe=Stub(one_gain=one))
+    with answers(gains, choose_gain=lambda group, *_: float(len(group))):
+        found = gains._gains_by_function(given, *[None] * 4)  # pyright: ignore[reportArgumentType]
+    assert found == (dict.fromkeys("abc", 3.0) if one else {"a": 2.0, "b": 1.0, "c": 1.0})
+    results: Any = [Stub(damping_ratio_open=a, damping_ratio_held=b) for a, b in ((1, 5), (3, 4))]
+    assert gains._ranges(results) == {
+        "damping_ratio_open": 1,
+        "damping_ratio_open_most": 3,
+        "damping_ratio_held": 4,
+        "damping_ratio_held_most": 5,
+    }
+
+
+@pytest.mark.parametrize("washout", [0.0, 0.5])
+def test_curves_are_of_the_least_damped_point_of_each_function_and_payload(washout):
+    points = [Stub(function=f, payload=p) for f, p in ("ax", "ax", "ay", "ax", "bx")]
+    results: Any = [
+        Stub(point=point, damping_ratio_closed=d, gain_limit=10.0 * i)
+        for i, (point, d) in enumerate(zip(points, (0.5, 0.3, 0.9, 0.4, 0.2), strict=True))
+    ]
+    given: Any = Stub(motions=[Stub(point=point, at=i) for i, point in enumerate(points)])
+    with answers(
+        gains,
+        locus=lambda motion, law, *rest: (motion.at, *rest),
+        step_response=lambda motion, law, result, gain: (motion.at, gain),
+    ):
+        found: Any = gains._curves(given, results, Law(washout, 0.0, 0.0), {"a": 2.0, "b": 3.0})
+    loci, steps = found
+    assert steps == ((1, 2.0), (2, 2.0), (4, 3.0))
+    both = ("feedback_gain", "washout")[: 2 if washout else 1]
+    assert loci == tuple((i, gain, name, 10.0 * i) for i, gain in steps for name in both)
+
+
+@pytest.mark.parametrize(
+    ("damping", "bandwidth", "met", "keys"),
+    [(0.6, 7.0, True, []), (0.6, 6.0, False, []), (0.7, 7.0, True, []),
+     (0.5, 7.0, False, ["below_target"])],
+)  # fmt: skip
+@pytest.mark.parametrize("drawn", [(), ("oil",)])
+def test_a_tuning_is_met_that_keeps_its_target_and_its_demands(
+    damping, bandwidth, met, keys, drawn
+):
+    """0.6 and 1 Hz, at the points that count."""
+    recipe = Stub(gain_margin=2.0, phase_margin=0.5, bandwidth=1.0, damping_ratio=0.6, rate=500.0)
+    motions = [
+        Stub(counts=one, point=Stub(function="f"), circuit=None) for one in (True, True, False)
+    ]
+    rig = Stub(name="slide", supply=Stub(facts=dict))
+    given: Any = Stub(recipe=recipe, motions=motions, notes=(), rig=rig, cylinder="press",
+                      low=1.0, cross=2.0, curves=())  # fmt: skip
+    work = Stub(
+        law=lambda: Law(1.0, 2.0, 3e-3, 4.0), grid=np.arange(3.0), alternatives=lambda _: ()
+    )
+    numbers = iter([(0.9, 8.0, 0.4), (damping, bandwidth, 0.3), (0.1, 1.0, 0.2)])
+
+    def result(motion, *_):
+        value, reached, curve = next(numbers)
+        margins = Stub(gain_margin=2.0, phase_margin=0.6, bandwidth=reached)
+        return Stub(counts=motion.counts, damping_ratio_closed=value, margins=margins, name="it",
+                    damping_ratio_open=value, damping_ratio_held=value,
+                    curve=np.full(3, curve))  # fmt: skip
+
+    done: list[float] = []
+    with answers(gains, LawSearch=lambda *_: work, _gains_by_function={"f": 1.0}, _result=result,
+                 _curves=((), ()), robustness=Stub(parameters=drawn), functions_of=()):  # fmt: skip
+        found = gains.tune_pressure_feedback(given, None, lambda _, share: done.append(share))
+    assert (found.met, found.damping_ratio) == (met, damping) and found.tick == 2e-3
+    assert [text.key for text in found.warnings] == [
+        f"tune.{key}" for key in (*keys, *(() if drawn else ("no_draws",)))
+    ]
+    assert found.worst_curve == (0.3,) * 3
+    assert done == sorted(done) and 0.0 < done[0] and done[-1] < 1.0
+
+
+def test_a_point_is_told_without_feedback_with_the_off_side_and_at_its_gain():
+    """Of a swing of 3 rad/s, which a gain damps by a sixth of it."""
+    law = Law(1.0, 2.0, 3e-3, 4.0)
+
+    def loop(given: Law) -> Loop:
+        washed = given.washout == given.ramp_washout == 0.0
+        damping = 0.1 + 0.1 * washed + 0.2 * (given.off_gain == 0.0)
+        return loop_of([[0.0, 1.0], [-9.0, -6.0 * damping]], [0.0, 1.0], [0.0, -1.0])
+
+    point = Stub(name="it", function="extend_resistive", p_head=2e6)
+    motion: Any = Stub(loop=loop, point=point, counts=True)
+    found = gains._result(motion, law, 0.6, np.array([0.0, 1.2]))
+    assert found.natural_frequency_open == pytest.approx(3.0)
+    assert found.natural_frequency_closed == pytest.approx(3.0)
+    assert found.damping_ratio_open == pytest.approx(0.4)
+    assert found.damping_ratio_held == pytest.approx(0.1)
+    assert found.damping_ratio_closed == pytest.approx(0.2)
+    assert found.curve == pytest.approx((0.1, 0.3)) and found.gain_limit == math.inf
+    assert found.damping_ratio_plain == pytest.approx(0.3)
+    assert found.bias == pytest.approx(0.6 * 2e6 / 9.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "pressure"), [("extend_resistive", 2e6), ("retract_resistive", 5e6)]
+)
+def test_a_static_pressure_moves_the_rod_where_nothing_washes_it_out(function, pressure):
+    """ẋ = (a + K b c) x + K b p at rest."""
+    a, b, c = np.array([[-1.0, 2.0], [0.0, -3.0]]), np.array([0.5, 1.0]), np.array([0.0, -1.0])
+    point: Any = Stub(function=function, p_head=2e6, p_rod=5e6)
+    expected = -np.linalg.inv(a + 0.7 * np.outer(b, c)) @ b * 0.7 * pressure
+    assert gains._bias(loop_of(a, b, c), point, 0.7) == pytest.approx(expected[0])
+    assert math.isnan(gains._bias(loop_of(a, b, -9.0 * c), point, 0.7))
+
+
+@pytest.mark.parametrize("counts", [(True, True, True), (True, False, True)])
+def test_draws_are_of_the_least_damped_points_that_count(counts):
+    """Of the worst of each draw the quantiles, and the share that keeps the target."""
+    known = {"oil": Value(1.0, "identified", std=0.5)}
+    rig: Any = Stub(parameters=lambda: known, with_values=lambda values: values["oil"])
+    results: Any = [
+        Stub(counts=one, damping_ratio_closed=d)
+        for one, d in zip(counts, (0.3, 0.1, 0.2), strict=True)
+    ]
+    recipe = Stub(draws=5, seed=3, damping_ratio=0.6)
+    given: Any = Stub(rig=rig, recipe=recipe, motions=["first", "second", "third"])
+    table, done, asked = np.array([[0.5], [0.6], [0.8], [0.9], [0.1]]), [], []
+
+    def worst(_, drawn, motions, *__):
+        asked.append(motions)
+        return drawn
+
+    with answers(draws, draw_parameters=table, _worst_of_draw=worst):
+        found = draws.robustness(given, results, Law(0, 0, 0), {}, None, done.append)
+    assert asked[0] == (["second", "third", "first"] if counts[1] else ["third", "first"])
+    assert done == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8]) and found.draws == 5
+    assert (found.share, found.points) == (pytest.approx(0.6), len(asked[0]))
+    assert found.quantiles == pytest.approx(
+        np.quantile([0.5, 0.6, 0.8, 0.9, 0.1], [0.05, 0.5, 0.95])
+    )
+
+
+@pytest.mark.parametrize("possible", [True, False])
+def test_a_draw_is_as_damped_as_its_least_damped_point_that_it_takes_up(possible):
+    points = [
+        Stub(payload=p, function=f, x=0.1, v=v)
+        for p, f, v in (("a", "extend_resistive", 0.2), ("b", "retract_resistive", -0.3))
+    ]
+    motions: Any = [Stub(point=point) for point in points]
+    aims = []
+
+    def steady(model, circuit, function, here, index, aim):
+        aims.append((function, index, aim.speed, aim.payload, aim.low_pressure, aim.cross_drop))
+        return model, Stub(possible=possible or aim.payload == "a", payload=aim.payload)
+
+    given: Any = Stub(recipe=Stub(posture=None), maps=None, cylinder="press", low=5e5, cross=6e5)
+    given.steady = steady
+    model = Stub(layout=Stub(cylinders=["boom", "press"]))
+    loops = {
+        "a": Stub(damping_ratio=lambda gain: 0.1 * gain),
+        "b": Stub(damping_ratio=lambda gain: 0.02 * gain),
+    }
+    with answers(
+        draws,
+        model_under=model,
+        circuit_of=lambda _, at, __: Stub(cylinder=at),
+        equivalent=lambda _, at, x, __: (at, x),
+        development_model=None,
+        close=lambda _, point, *__: loops[point.payload],
+    ):
+        found = draws._worst_of_draw(
+            given, None, motions, Law(0, 0, 0), {"extend_resistive": 4.0, "retract_resistive": 5.0}
+        )
+    assert found == pytest.approx(0.1 if possible else 0.4)
+    codes = [FUNCTIONS.index(p.function) for p in points]
+    assert aims == [(codes[0], 0, 0.2, "a", 5e5, 6e5), (codes[1], 0, 0.3, "b", 5e5, 6e5)]
+
+
+def test_a_tuning_of_margins_tells_its_worst_point_and_what_it_misses():
+    """By delay; the loci stand about −1."""
+    found = [LoopMargins(2.0, 0.5, 6e-3, 30.0), LoopMargins(3.0, 0.7, 3e-3, 40.0)]
+    loci = np.array([[1.0 + 2.0j], [3.0 - 1.0j]])
+    loops_ = [
+        Stub(margins=lambda _, item=item: item, loci=lambda _: (None, loci)) for item in found
+    ]
+    points = [Stub(name=n, function="f", payload="none", x=0.1, v=0.2, paths=()) for n in "ab"]
+    gain = dict.fromkeys(arc.CHOSEN, 4.0)
+    demands = {"gain_margin": 2.0, "phase_margin": 0.6, "delay_margin": 3e-3}
+    work: Any = Stub(loops=lambda _: loops_, sensing=Sensing(1e-3, 2e-3), demands=demands, lag=0.01)
+    work.gains, work.plants = lambda _: (None, None), [Stub(point=point) for point in points]
+    work.judged = lambda budget, results: arc.Search.judged(work, budget, results)
+    rig = Stub(name="slide", supply=Stub(facts=dict, low_rail=None))
+    given: Any = Stub(rig=rig, cylinder="press")
+    with answers(arc, named_gains={"gains": gain}):
+        told = arc._result(given, work, 0.4, {0.5: "second", 0.4: "first"})  # pyright: ignore[reportArgumentType]
+    assert (told.worst, told.met, told.candidates) == ("b", False, ("first", "second"))
+    assert (told.gain_margin, told.phase_margin, told.delay_margin) == (2.0, 0.5, 2e-3)
+    (note,) = told.warnings
+    fields: Any = note.fields
+    assert fields == {"margins": "phase margin and delay margin", "point": "b"}
+    assert [p.delay_margin for p in told.points] == pytest.approx([4e-3, 2e-3])
+    assert told.locus == (((-1.0, -3.0), (-2.0, 1.0)),)
+    assert arc.Search.judged(work, 0.4, found).sum == pytest.approx(40.0)
