@@ -122,6 +122,18 @@ def test_a_window_tells_of_a_model_where_more_than_noise_is_left(rng, left, cree
     assert window.recorded.cycles == 0.0 if creep else window.recorded.cycles > 5.0
 
 
+@pytest.mark.parametrize(("later", "starts"), [(20, [0.52]), (21, [0.5]), (400, [0.5])])
+def test_a_window_begins_with_the_last_of_the_commands_that_change_together(later, starts):
+    """Within 20 ms; a change of another cylinder alone begins none of this one."""
+    model = Model.of(shipped("thesis_arm"))
+    t = np.arange(1500) * TICK
+    one, other = 5.0 * (t >= 0.4999), 5.0 * (np.arange(1500) >= 500 + later)
+    y = 5e6 + 1e6 * np.exp(-2.0 * t) * np.cos(40.0 * t)
+    log = Record(t, {"swing.servo.command": one, "boom.hepc.command": other, "swing.p_head": y})
+    found = transients_of(log, model, "swing", {"swing.p_head": Pair(y, 1.1 * y, False)})
+    assert [window.start for window in found] == pytest.approx(starts)
+
+
 def test_a_ringing_is_clear_that_lasts_and_a_black_box_counts_where_it_is_told():
     assert Ring(10.0, 0.1, 0.1, 0.01, 5.0).clear
     assert not Ring(10.0, 0.1, 0.1, 0.01, 0.5).clear and not Ring().clear

@@ -1,7 +1,7 @@
 """Flow maps and operating points on small arrays, against closed forms."""
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 from types import SimpleNamespace as Stub
 from typing import Any
 
@@ -37,7 +37,7 @@ from ehbench.tune.results import functions_of
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import Value
 from tests.settings import answers
 from tests.shared import refused, shipped, slide
@@ -607,6 +607,56 @@ def test_cells_shift_about_half_of_the_largest_drop_and_lose_their_weight():
     assert some.weight.tolist() == [1.0, 0.0, 1.0] and some.weighed == 2
     assert cells != some and cells == replace(cells, u=cells.u.copy())
     assert len({cells, some, replace(some)}) == 2
+
+
+@pytest.mark.parametrize(
+    ("y", "lack", "first", "low", "high", "bracket"),
+    [
+        ([1e-4, 1e-3, 1.9e-3, 0.3, 0.5, 0.9], 1.0, 3, 1.0, 3.98, (3.0, 4.0)),
+        ([1e-4, 1e-3, 2.1e-3, 0.3, 0.5, 0.9], 1.0, 2, 1.0, 2.98, (2.0, 3.0)),
+        ([1e-4, 1e-3, 2.1e-3, 0.3, 0.5, 0.9], 4.0, 3, 1.0, 3.98, (3.0, 4.0)),
+        ([1e-4, 5e-3, 1.9e-3, 0.3, 0.5, 0.9], 1.0, 3, 1.0, 3.98, (3.0, 4.0)),
+        ([1e-4, 5e-3, 0.1, 0.3, 0.5, 0.9], 1.0, 1, 0.0, 1.98, (1.0, 2.0)),
+        ([5e-3, 5e-3, 0.1, 0.3, 0.5, 0.9], 1.0, 0, 0.0, 0.98, (0.0, 1.0)),
+        ([1e-4, 2e-3, 1e-3, 1e-3, 0.5, 0.9], 1.0, None, 0.0, 0.0, None),
+    ],
+)  # fmt: skip
+def test_a_deadband_lies_below_the_first_command_that_surely_passes(
+    y, lack, first, low, high, bracket
+):
+    """By four errors, which are 10⁻³ of a reading, half of that of four, and more with a lack of
+    fit; it lies above the last but one of the commands below the last that is shut."""
+    readings: Any = Stub(levels=np.arange(1.0, 7.0), cell_level=np.arange(6), who="map")
+    cells: Any = Stub(weight=np.full(6, 4e6), y=np.array(y), count=np.full(6, 4.0))
+    if first is None:
+        with refused("flow_maps.mostly_shut", InsufficientData):
+            shape.window_of(readings, cells, lack)
+        return
+    found = shape.window_of(readings, cells, lack)
+    assert (found.opens, found.low, found.bracket) == (first, low, bracket)
+    assert found.high == pytest.approx(high) and found.flows_at_lowest == (first == 0)
+
+
+@pytest.mark.parametrize(("at", "shut"), [(2.0, True), (2.013, True), (2.013, False), (0.0, True)])
+def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut):
+    """A parabola of 0.5 V, between the places looked at; at 95 % or, extrapolated, 99.9 %."""
+    grid = np.linspace(0.0, 4.0, 81)
+    window = shape.Window(0.0, 4.0, 1, (0.0, 4.0), not shut)
+    readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
+    plain = shape.Shape(1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.ones(2))
+    with answers(shape, window_of=window, _profile=(grid, ((grid - at) / 0.5) ** 2)):
+        found, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
+    assert found.value == built.deadband == pytest.approx(at, abs=1e-4)
+    assert found.at_bound == (at == 0.0) and built.above.tolist() == list(range(1, 11))
+    half = 0.5 * math.sqrt(shape.SETTINGS.level_95 if shut else shape.SETTINGS.level_999)
+    assert found.interval == pytest.approx((max(at - half, 0.0), at + half), abs=2e-3)
+    weight = np.exp(-0.5 * ((grid - at) / 0.5) ** 2)
+    spread = np.average((grid - found.value) ** 2, weights=weight) + 0.05**2 / 12.0
+    assert found.std == pytest.approx(math.sqrt(spread))
+    narrow = shape.Window(2.0, 2.0, 1, (0.0, 4.0), False)
+    with answers(shape, window_of=narrow, _profile=None):
+        none, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
+    assert none == shape.Deadband() and built.deadband == 0.0
 
 
 # --- loops of operating points
@@ -1275,3 +1325,66 @@ def test_a_tuning_of_margins_tells_its_worst_point_and_what_it_misses():
     assert [p.delay_margin for p in told.points] == pytest.approx([4e-3, 2e-3])
     assert told.locus == (((-1.0, -3.0), (-2.0, 1.0)),)
     assert arc.Search.judged(work, 0.4, found).sum == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(("limit", "way"), [(0.6, 1.0), (math.inf, -1.0)])
+def test_a_root_locus_lies_densely_about_its_gain_and_its_limit(limit, way):
+    """s² + (0.6 ∓ K) s + 9, up to ten times the larger; shown is what swings."""
+    motion: Any = Stub(loop=lambda _: loop_of([[0.0, 1.0], [-9.0, -0.6]], [0.0, 1.0], [0.0, way]))
+    motion.point = Stub(name="it")
+    found = gains.locus(motion, Law(0.0, 0.0, 0.0), 0.3, "feedback_gain", limit)
+    name, parameter, values, real, imag, chosen, at, crossing, cross, frame = astuple(found)
+    assert (name, parameter, chosen) == ("it", "feedback_gain", 0.3)
+    assert values[0] == 0.0 and values[1] == pytest.approx(3e-4)
+    assert values[-1] == pytest.approx(6.0 if way > 0.0 else 3.0)
+    centre = [0.3, 0.6] if way > 0.0 else [0.3]
+    dense = [c * part for c in centre for part in np.linspace(0.8, 1.2, 60)]
+    assert np.isclose(np.array(values)[:, None], np.array(dense)).any(axis=0).all()
+    for k, value in enumerate(values):
+        poles = np.sort_complex(np.array(real[k]) + 1j * np.array(imag[k]))
+        roots = np.sort_complex(np.roots([1.0, 0.6 - way * value, 9.0]).astype(complex))
+        assert poles == pytest.approx(roots, abs=1e-6)
+    swing = math.sqrt(9.0 - (0.3 - 0.15 * way) ** 2)
+    assert sorted(at) == [pytest.approx((0.15 * way - 0.3, s * swing)) for s in (-1.0, 1.0)]
+    assert crossing == (0.6 if way > 0.0 else None)
+    assert sorted(cross) == (
+        [pytest.approx((0.0, s * 3.0)) for s in (-1.0, 1.0)] if way > 0.0 else []
+    )
+    assert frame == pytest.approx((-4.8, 1.2, 4.2))
+
+
+def test_a_locus_over_the_washout_is_that_of_the_washed_loop():
+    """At 2 rad/s the poles are those with a washout of 2; it goes to ten times it, or to twice the
+    swing."""
+
+    def loop(law: Law) -> Loop:
+        a = np.zeros((3, 3))
+        a[:2, :2], c = [[0.0, 1.0], [-900.0, -3.0]], np.array([0.0, -1.0, 0.0])
+        if not law.washout:
+            return loop_of(a[:2, :2], [0.0, 1.0], c[:2])
+        a[2], c[2] = [0.0, -law.washout, -law.washout], -1.0
+        return loop_of(a, [0.0, 1.0, 0.0], c)
+
+    motion: Any = Stub(loop=loop, point=Stub(name="it"))
+    for washout, top in ((2.0, 60.0), (7.0, 70.0)):
+        law = Law(washout, 0.0, 0.0)
+        found = gains.locus(motion, law, 4.0, "washout", 9.0)
+        *_, values, real, imag, chosen, at, crossing, cross, frame = astuple(found)
+        assert (chosen, crossing, cross) == (washout, None, ())
+        assert values[-1] == pytest.approx(top, rel=1e-2)
+        poles = np.sort_complex(np.array([complex(*pole) for pole in at]))
+        assert poles == pytest.approx(np.sort_complex(np.linalg.eigvals(loop(law).closed(4.0))))
+
+
+def test_a_step_of_speed_is_shown_for_ten_swings():
+    """(1 − e^(−ζωt)(cos ω't + ζω/ω' sin ω't))/9 at 3 rad/s, without feedback and with a gain."""
+    motion: Any = Stub(loop=lambda _: loop_of([[0.0, 1.0], [-9.0, -0.6]], [0.0, 1.0], [0.0, -1.0]))
+    result: Any = Stub(natural_frequency_open=3.0, name="it")
+    found = gains.step_response(motion, Law(0.0, 0.0, 0.0), result, 1.2)
+    name, t, *speeds = astuple(found)
+    t = np.array(t)
+    assert name == "it" and t[-1] == pytest.approx(20.0 * math.pi / 3.0)
+    for speed, decay in zip(speeds, (0.3, 0.9), strict=True):
+        omega = math.sqrt(9.0 - decay**2)
+        swing = np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+        assert speed == pytest.approx((1.0 - swing) / 9.0, abs=1e-6)
