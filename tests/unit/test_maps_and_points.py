@@ -39,6 +39,7 @@ from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.terms import Z95
 from tests.settings import answers
 from tests.shared import refused, shipped, slide
 
@@ -659,6 +660,67 @@ def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut)
     assert none == shape.Deadband() and built.deadband == 0.0
 
 
+def test_a_maps_error_has_what_trials_commands_and_drops_are_off_by():
+    """Of a flow u·d: two trials, of which one reads the larger commands; what a command and a drop
+    are off by goes with the slopes; half of what the root of a small drop differs by."""
+    d, more = np.array([0.3, 0.5, 0.8]), 0.2
+    s, u = d / (d**2 + more**2) ** 0.25, np.array([1.0, 1.5, 2.0])
+    r: Any = Stub(commands=np.array([1.0, 2.0]), level=np.array([0, 0, 1, 1]), delta=2e5)
+    r.trial, r.drop_max, r.command_std, r.drop_std = np.array([1, 2, 1, 2]), 1e6, 0.01, 0.02
+    design = lambda u, s: (u * np.repeat(d[None], 3, axis=0).ravel())[:, None]  # noqa: E731
+    solution = Stub(spline=Stub(design=design), coefficients=np.ones(1), widening=3.0)
+    solution.variance = lambda design: np.full(9, 1e-4)
+    result: Any = Stub(readings=r, shape=None, solution=solution)
+    result.keep = np.array([True, True, True, False])
+    with answers(results, _missed=np.full(9, 2e-4), _between=np.full(9, 3e-4), _uncertain=()):
+        found = results._flow_std(result, u, s, 0.05)
+    flow, few = np.outer(u, d), np.sqrt(2.0 / np.array([2.0, 1.5, 1.0]))[:, None]
+    square = 3e-4 + 5e-4 + (0.05 * few * flow) ** 2
+    square = square + (0.5 * flow * (np.sqrt(d) / s - 1.0)) ** 2
+    square += (0.01 * d) ** 2 + (0.02 * u[:, None]) ** 2
+    assert found == pytest.approx(np.sqrt(square))
+
+
+def test_a_map_is_drawn_with_each_number_at_either_end_of_its_interval():
+    """Also softly from below the deadband; a deadband is not below zero."""
+
+    class Shape(Stub):
+        def spline(self, *at, **how):
+            return (self.kinks, *at, *how)
+
+    kinks = [Stub(value=3.0, std=0.2), Stub(value=5.0, std=0.1)]
+
+    def fit(value, std, low, shift, some):
+        return Stub(
+            shape=Shape(kinks=()),
+            kinks=some,
+            shift_std=shift,
+            deadband=Stub(value=value, std=std, interval=(low, 9.0)),
+        )
+
+    def drawn(*given) -> Any:
+        with answers(results, replace=lambda _, kinks: Shape(kinks=kinks)):
+            return list(results._uncertain(fit(*given)))  # pyright: ignore[reportArgumentType]
+
+    assert drawn(1.0, 0.0, 1.0, 0.0, []) == []
+    (sides,) = drawn(1.0, 0.3, 1.0, 0.0, [])
+    assert sides == ((((), 1.0 - 0.3 * Z95), 0.0), (((), 1.0 + 0.3 * Z95), 0.0))
+    (sides,) = drawn(1.0, 0.6, 1.0, 0.0, [])
+    assert sides[0] == (((), 0.0), 0.0)
+    (sides,) = drawn(1.0, 0.0, 0.7, 0.0, [])
+    assert sides == ((((), 0.7, "soft"), 0.0), (((),), 0.0))
+    (sides,) = drawn(1.0, 0.0, 1.0, 0.1, [])
+    assert sides == ((((),), -0.1 * Z95), (((),), 0.1 * Z95))
+    ends = [
+        [(1.0 * end[0][0][1], end[1]) for end in sides]
+        for sides in drawn(1.0, 0.0, 1.0, 0.0, kinks)
+    ]
+    assert ends == [
+        [(3.0 - 0.2 * Z95, 0.0), (3.0 + 0.2 * Z95, 0.0)],
+        [(5.0 - 0.1 * Z95, 0.0), (5.0 + 0.1 * Z95, 0.0)],
+    ]
+
+
 # --- loops of operating points
 
 
@@ -996,6 +1058,37 @@ def test_what_no_valve_can_do_is_refused():
     for function in (0, FUNCTIONS.index("extend_resistive_regeneration")):
         with pytest.raises(InputError):
             steady._check(model, circuit, function)
+
+
+@pytest.mark.parametrize(
+    ("sign", "command", "most", "reachable"),
+    [(1, None, 5.0, True), (1, None, 4.9, False), (1, 5.1, 6.0, True), (1, 4.9, 6.0, False),
+     (-1, None, -5.0, True), (-1, None, -4.9, False)],
+)  # fmt: skip
+@pytest.mark.parametrize("along", [1.0, -1.0])
+def test_a_path_has_the_slopes_of_its_law_and_a_command_within_reach(
+    sign, command, most, reachable, along
+):
+    """Q = 10⁻⁸ u √Δp along it: 5 V for 10⁻⁴ m³/s at 4 MPa; its slopes Q/(2 Δp) and Q/u."""
+    lead = int(steady.METERING[EXTEND])
+    circuit: Any = Stub(paths={lead: 2, 7: 2}, along={lead: along, 7: along}, maps=None)
+    circuit.edges = {2: Stub(sign=sign, valve=3)}
+    law = lambda drop, u: 1e-8 * abs(u) * np.sign(drop) * math.sqrt(abs(drop))  # noqa: E731
+    asked = []
+    with answers(steady, edge_flow=lambda drop, u, *_: law(drop, u),
+                 edge_command=lambda drop, flow, *_: sign * flow / law(drop, 1.0),
+                 widest=lambda _, edge, drop: asked.append(drop) or most):  # fmt: skip
+        found = steady._path(circuit, EXTEND, lead, 1e-4, 4e6, ("a", "b", "c"), command)
+        other = steady._path(circuit, EXTEND, 7, 1e-4, 4e6, ("a", "b", "c"), command)
+    u = command or 5.0 * sign
+    assert (found.edge, found.valve, found.command) == ("c", 3, pytest.approx(u))
+    assert (found.metering, other.metering) == (True, False)
+    assert found.slope == pytest.approx(2e-5 * abs(u) / 8e6, rel=1e-4)
+    assert found.gain == pytest.approx(2e-5 * sign, rel=1e-6)
+    assert found.reachable == reachable and asked[0] == along * 4e6
+    with answers(steady, edge_flow=lambda *_: along, widest=most):
+        shut = steady._path(circuit, EXTEND, lead, 1e-4, 4e6, ("a", "b", "c"), 1.0 * sign)
+    assert shut.gain == 0.0 and not shut.reachable
 
 
 # --- loops about points
