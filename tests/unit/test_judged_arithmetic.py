@@ -200,6 +200,38 @@ def response_of(gain, delay, coherent, low=None) -> Response:
                     told, None, None, ())  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("known", "told"),
+    [
+        (range(1, 41), True),
+        (range(20, 41), True),
+        (range(21, 41), False),
+        ((1, *range(5, 39, 2), 39), False),
+        ((1, *range(3, 39, 2), 39), True),
+        ((1, 2), False),
+        ((), False),
+    ],
+)
+def test_a_response_counts_over_an_octave_of_which_half_is_known(known, told):
+    """Of 39 frequencies 19 are less than half, 20 are not; of what oscillates of the cylinder."""
+    coherent = np.isin(np.arange(1.0, 41.0), list(known))
+    one, other = Pair(np.zeros(9), np.ones(9), False), Pair(np.zeros(9), np.zeros(9), False)
+    pairs = {"press.v": one, "press.x": other, "boom.v": other, "press.p_rod": one}
+    asked = []
+
+    def response(_, command, channel, y, span, coherence):
+        asked.append((command, channel, float(y[0]), span, coherence))
+        return response_of(1.0, 0.0, coherent) if known else None
+
+    with answers(sweeps, _sweeping=lambda *_: (COMMAND, slice(2, 7)), _response=response,
+                 _sweep_of=lambda *given: given[:2]):  # fmt: skip
+        found = sweeps.sweeps_of(Stub(), Stub(), "press", pairs, 0.8)  # pyright: ignore[reportArgumentType]
+    channels = ("press.v", "press.p_rod")
+    assert found == [(COMMAND, channel) for channel in channels if told]
+    both = [(0.0, 0.8), (1.0, 0.0)][: 2 if told else 1]
+    assert asked == [(COMMAND, c, y, slice(2, 7), limit) for c in channels for y, limit in both]
+
+
 def test_a_sweep_is_off_by_what_its_errors_do_not_make():
     """Where the recording is coherent: its gain doubles, it lags 3 ms more than 2 ± 1 ms."""
     coherent = np.arange(40) % 5 > 0

@@ -396,10 +396,10 @@ def test_a_shift_ends_where_its_likelihood_does(scale):
 
 
 def test_a_misfit_counts_what_both_keep_over_the_noise_of_one():
-    """(1/1)² + (2/2)² over a lack of 4, and twice three parameters."""
+    """(1/1)² + (4/2)² over a lack of 4, and twice three parameters."""
     one: Any = Stub(
         readings=None,
-        residuals=np.array([1.0, 2.0, 3.0, 9.0]),
+        residuals=np.array([1.0, 4.0, 3.0, 9.0]),
         keep=np.array([True, True, False, True]),
         solution=Stub(parameters=3.0),
     )
@@ -408,7 +408,7 @@ def test_a_misfit_counts_what_both_keep_over_the_noise_of_one():
         keep=np.array([True, True, True, False]),
         solution=Stub(flow=None, lack=4.0),
     )
-    assert fit._misfit(one, by) == pytest.approx(0.5 + 6.0)
+    assert fit._misfit(one, by) == pytest.approx(1.25 + 6.0)
 
 
 @pytest.mark.parametrize("least", [(-4.5, -2.25), (-2.25, -4.5), (-12.0, 0.0), (0.0, -11.75)])
@@ -549,6 +549,22 @@ def test_a_table_of_points_has_every_reading_with_its_fitted_flow():
         "servo,forward,2,-2,50,12,11.4,meter,1,a/b.csv,2",
         "servo,forward,3,-3,20,24,18.12,meter,0,a/b.csv,3",
     ]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.4])
+def test_a_meter_shows_nothing_below_its_limit_and_a_shift_moves_openings(shift):
+    """By half of it down at the largest drop, as much up at none. The root of a drop bends below a
+    hundredth of the largest."""
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(1.0, 6.0), np.arange(1.0, 7.0)))
+    flow = 1e-6 * np.arange(1.0, 31.0)
+    rows = readings_table(command, 1e6 * drop, flow)
+    r = sort_readings("map", rows, FlowMapOptions(meter_limit=3.5e-6)).shifted(shift)
+    assert r.q[r.silent].tolist() == [0.0] * 3 and r.silent.sum() == 3
+    assert r.q[~r.silent] == pytest.approx(flow[r.row][~r.silent])
+    assert r.u == pytest.approx(r.command - shift * (r.drop / 6e6 - 0.5))
+    assert r.delta == pytest.approx(6e4)
+    assert (r.step == r.level).all() or shift
+    assert (r.levels[r.step] >= r.u - 1e-12).all()
 
 
 def test_a_display_rounds_by_its_smallest_step_over_the_root_of_twelve():
@@ -1216,6 +1232,45 @@ def test_a_function_is_told_with_its_edges():
 
 
 # --- gains, draws, margins
+
+
+@pytest.mark.parametrize(
+    ("minimum", "single", "washout", "ramp"),
+    [(0.5, True, 3.0, False), (0.5, False, 1.5, True), (0.71, False, 0.9, False),
+     (0.9, True, 1.0, False), (0.9, False, 1.0, False)],
+)  # fmt: skip
+def test_a_law_has_the_fastest_washouts_that_reach_the_target(minimum, single, washout, ramp):
+    """0.8 − (ω_w + ω_r)/10 less what the off-side and K_p are off by: one washout to a sixteenth of
+    an octave, or two, if no slower than a quarter of it. Where none reaches it, the fastest that
+    keeps 0.95 of the best."""
+    work = search.LawSearch.__new__(search.LawSearch)
+    least = math.log(2.0) / 16.0
+
+    def loop(law: Law) -> Any:
+        level = 0.8 - 0.1 * (law.washout + law.ramp_washout) - 0.02 * (law.off_gain - 2.0) ** 2
+        return Stub(
+            damping_ratio=lambda gain: level - np.log(np.maximum(gain, 1e-9)) ** 2, gain=law
+        )
+
+    motions: Any = [Stub(loop=loop), Stub(loop=loop)]
+    work.motions, work.gains, work.demands = motions, np.array([0.0, 0.5, 1.0, 2.0]), {}
+    corners = [8.0, 4.0, 2.0, 1.0, *((0.5,) if minimum < 0.9 else ())]
+    work.corners, work.offs, work.delay, work.ramp = corners, [1.0, 2.0, 3.0], 1e-3, 0.0
+    work.free, work.single, work.minimum = True, single, minimum
+    work._queue, work._known = list(motions), {}
+    with answers(search, margins=lambda *_: None):
+        law = work.law()
+    assert law.off_gain == 2.0 and law.delay == 1e-3
+    assert 0.0 <= math.log(washout / law.washout) <= least + 1e-9
+    assert law.ramp_washout == (law.washout if ramp else 0.0)
+    work.demands = {"gain_margin": 2.0}
+    with answers(search, margins=lambda loop, gain: Stub(gain_margin=8.0 / loop.gain.washout)):
+        limited = work.law()
+    kept = min(washout, 4.0)
+    assert minimum > 0.8 or 0.0 <= math.log(kept / limited.washout) <= least + 1e-9
+    work.free = False
+    work.corners = [4.0]
+    assert work.law() == Law(4.0, 2.0, 1e-3, 0.0)
 
 
 @pytest.mark.parametrize("one", [True, False])
