@@ -1234,6 +1234,13 @@ def test_a_function_is_told_with_its_edges():
 # --- gains, draws, margins
 
 
+@pytest.mark.parametrize("matrix", [[[1, 0.5], [0.3, 1]], [[1, 1.2], [1.2, 1]], [[1, 0.5]]])
+def test_a_matrix_of_correlations_is_square_even_and_at_most_one(matrix):
+    rig: Any = Stub(parameters=lambda: {n: Value(5.0, "identified", std=0.1) for n in "ab"})
+    with refused("tune.wrong_correlation", InputError):
+        draw_parameters(rig, ("a", "b"), (("a", "b"), matrix), 3, np.random.default_rng(1))
+
+
 @pytest.mark.parametrize(
     ("minimum", "single", "washout", "ramp"),
     [(0.5, True, 3.0, False), (0.5, False, 1.5, True), (0.71, False, 0.9, False),
