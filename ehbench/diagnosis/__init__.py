@@ -290,7 +290,7 @@ class _Search:
 
     def _finding(self, fault: Hypothesis, delta: float, gain: float) -> Finding:
         rig = self.cases[0].model.rig
-        explains = float(min(1.0, gain / max(self.now - self.noise, gain)))
+        explains = float(gain / max(self.now - self.noise, gain))
         says, line = fault.sentence(rig, delta), fault.remedy(rig, delta)
         size, beyond = float(delta), fault.beyond(delta)
         return Finding(fault.kind, fault.about, says, line, explains, size, beyond)

@@ -16,7 +16,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED
 from ehbench.preprocessing.observations import least_change
 from ehbench.preprocessing.preparation import PreparedLog
-from ehbench.validation import baseline, held_out, judge, sweeps
+from ehbench.validation import baseline, checks, held_out, judge, sweeps
 from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.validation.results import (
     BlackBox,
@@ -26,7 +26,7 @@ from ehbench.validation.results import (
     Ring,
     speaking_against,
 )
-from ehbench.validation.transients import steps_only, transients_of, why_not_judged
+from ehbench.validation.transients import stands, steps_only, transients_of, why_not_judged
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.terms import Z95
 from tests.settings import answers
@@ -47,8 +47,8 @@ def rng():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_command_keeps_its_value_until_it_is_off_by_more_than_its_noise(sign):
-    given = sign * np.array([0.2, 0.7, -0.2, 1.0, 1.4, 0.6, 0.49, 0.3, -0.4])
-    held = sign * np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 0.49, 0.49, -0.4])
+    given = sign * np.array([0.2, 0.7, -0.2, 1.0, 1.4, 0.6, 0.49, 0.3, -0.2])
+    held = sign * np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 0.49, 0.49, -0.2])
     assert steps_only(given, 0.5).tolist() == held.tolist()
 
 
@@ -68,15 +68,36 @@ def test_a_window_is_as_long_as_its_damped_periods(omega, damping, std, key, fie
     assert {name: note.fields[name] for name in fields} == pytest.approx(fields)
 
 
-def test_halves_that_ring_otherwise_are_told_in_hertz():
+@pytest.mark.parametrize(
+    ("first", "second", "std"), [(50.0, 75.0, 0.01), (75.0, 50.0, 0.01), (50.0, 75.0, 6.0)]
+)
+def test_halves_that_ring_otherwise_are_told_in_hertz(first, second, std):
+    """By more than 0.15 · 50 and three standard errors."""
     t = np.arange(2000) * TICK
-    swing = np.exp(-1.0 * t) * np.sin(np.where(t < 1.0, 50.0 * t, 50.0 + 75.0 * (t - 1.0)))
+    turn = np.where(t < 1.0, first * t, first + second * (t - 1.0))
+    swing = np.exp(-1.0 * t) * np.sin(turn)
     result: Any = Stub(natural_frequency=50.0, damping_ratio=0.02, damping_ratio_std=1e-4, stop=2.0)
-    result.natural_frequency_std = 0.01
+    result.natural_frequency_std = std
     note: Any = why_not_judged(t, swing[:, None], result)
+    if std > 1.0:
+        assert note == ""
+        return
     assert note.key == "validation.halves_differ"
     assert note.fields["half"] == pytest.approx(75.0 / (2.0 * math.pi), rel=0.01)
     assert note.fields["whole"] == pytest.approx(50.0 / (2.0 * math.pi))
+
+
+@pytest.mark.parametrize(
+    ("levels", "stand"),
+    [
+        ([0.0, 0.9, 1.0, 1.0, 1.0, 1.09, 1.09, 1.09], True),
+        ([0.0, 0.9, 1.0, 1.0, 1.0, 1.11, 1.11, 1.11], False),
+        ([1.0, 0.9, 0.0, 0.0, 0.0, 0.0, -0.1, -0.15], False),
+        ([1.0, 0.9, 0.0, 0.0, 0.15, -0.15, 0.0, 0.0], True),
+    ],
+)
+def test_a_command_stands_whose_thirds_differ_by_a_tenth_of_its_step(levels, stand):
+    assert stands(np.column_stack([levels, np.full(8, 3.0)]), 2) == stand
 
 
 @pytest.mark.parametrize(
@@ -101,10 +122,53 @@ def test_a_window_tells_of_a_model_where_more_than_noise_is_left(rng, left, cree
     assert window.recorded.cycles == 0.0 if creep else window.recorded.cycles > 5.0
 
 
+@pytest.mark.parametrize(("later", "starts"), [(20, [0.52]), (21, [0.5]), (400, [0.5])])
+def test_a_window_begins_with_the_last_of_the_commands_that_change_together(later, starts):
+    """Within 20 ms; a change of another cylinder alone begins none of this one."""
+    model = Model.of(shipped("thesis_arm"))
+    t = np.arange(1500) * TICK
+    one, other = 5.0 * (t >= 0.4999), 5.0 * (np.arange(1500) >= 500 + later)
+    y = 5e6 + 1e6 * np.exp(-2.0 * t) * np.cos(40.0 * t)
+    log = Record(t, {"swing.servo.command": one, "boom.hepc.command": other, "swing.p_head": y})
+    found = transients_of(log, model, "swing", {"swing.p_head": Pair(y, 1.1 * y, False)})
+    assert [window.start for window in found] == pytest.approx(starts)
+
+
 def test_a_ringing_is_clear_that_lasts_and_a_black_box_counts_where_it_is_told():
     assert Ring(10.0, 0.1, 0.1, 0.01, 5.0).clear
     assert not Ring(10.0, 0.1, 0.1, 0.01, 0.5).clear and not Ring().clear
     assert not BlackBox().counts
+
+
+@pytest.mark.parametrize(
+    ("key", "shown", "scale"),
+    [("natural_frequency", ("6 ± 0.2 Hz", "5 ± 0.1 Hz"), 2.0 * math.pi),
+     ("damping_ratio", ("6 ± 0.2", "5 ± 0.1"), 1.0)],
+)  # fmt: skip
+@pytest.mark.parametrize("limit", [0.11, 0.105])
+def test_the_worst_ringing_is_off_by_its_share_less_two_errors(key, shown, scale, limit):
+    """6 ± 0.2 against 5 ± 0.1: 0.2 − 2·√0.05/5; the one that is off by more is known less."""
+
+    def side(value, std):
+        return (
+            Stub(**{key: scale * value, f"{key}_std": scale * std}, natural_frequency=1.0)
+            if key == "damping_ratio"
+            else Stub(**{key: scale * value, f"{key}_std": scale * std})
+        )
+
+    windows: Any = [
+        Stub(start=1.0, recorded=side(5.0, 0.1), simulated=side(6.0, 0.2)),
+        Stub(start=2.0, recorded=side(5.0, 0.1), simulated=side(7.0, 0.9)),
+    ]
+    found = checks._ringing_check("press", key, windows, limit)
+    told: Any = found.sentence
+    assert found.reached == pytest.approx(0.2) and told.fields["time"] == 1.0
+    assert found.passed == (0.2 - 0.4 * math.sqrt(0.05) <= limit)
+    assert (told.fields["simulated"], told.fields["recorded"]) == shown
+    windows[1].simulated = Stub(natural_frequency=None, reason="it is still")
+    none = checks._ringing_check("press", key, windows, 9.0)
+    told = none.sentence
+    assert not none.passed and none.reached is None and told.fields["time"] == 2.0
 
 
 # --- sweeps
@@ -134,6 +198,38 @@ def response_of(gain, delay, coherent, low=None) -> Response:
     told = None if low is None else Estimate(delay, low, 2.0 * delay - low)
     return Response(f, *ends, phase, phase, phase, 0.9 * coherent + 0.05, coherent, 0.1, 9.0, 1.0,
                     told, None, None, ())  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("known", "told"),
+    [
+        (range(1, 41), True),
+        (range(20, 41), True),
+        (range(21, 41), False),
+        ((1, *range(5, 39, 2), 39), False),
+        ((1, *range(3, 39, 2), 39), True),
+        ((1, 2), False),
+        ((), False),
+    ],
+)
+def test_a_response_counts_over_an_octave_of_which_half_is_known(known, told):
+    """Of 39 frequencies 19 are less than half, 20 are not; of what oscillates of the cylinder."""
+    coherent = np.isin(np.arange(1.0, 41.0), list(known))
+    one, other = Pair(np.zeros(9), np.ones(9), False), Pair(np.zeros(9), np.zeros(9), False)
+    pairs = {"press.v": one, "press.x": other, "boom.v": other, "press.p_rod": one}
+    asked = []
+
+    def response(_, command, channel, y, span, coherence):
+        asked.append((command, channel, float(y[0]), span, coherence))
+        return response_of(1.0, 0.0, coherent) if known else None
+
+    with answers(sweeps, _sweeping=lambda *_: (COMMAND, slice(2, 7)), _response=response,
+                 _sweep_of=lambda *given: given[:2]):  # fmt: skip
+        found = sweeps.sweeps_of(Stub(), Stub(), "press", pairs, 0.8)  # pyright: ignore[reportArgumentType]
+    channels = ("press.v", "press.p_rod")
+    assert found == [(COMMAND, channel) for channel in channels if told]
+    both = [(0.0, 0.8), (1.0, 0.0)][: 2 if told else 1]
+    assert asked == [(COMMAND, c, y, slice(2, 7), limit) for c in channels for y, limit in both]
 
 
 def test_a_sweep_is_off_by_what_its_errors_do_not_make():
@@ -215,6 +311,45 @@ def test_a_black_box_is_shown_over_what_is_scored(rng):
     for other in (replace(item, fit_percent=None), replace(item, channel="ram.x")):
         same = replace(scored, channels=(other,))
         assert baseline._with_fits(same, odd, {"ram.v": box}).channels == (other,)
+
+
+@pytest.mark.parametrize(
+    ("status", "training", "fitted", "shown", "counts"),
+    [
+        (("held_out", "fitted", "held_out"), 0, ("b",), "ac", True),
+        (("held_out", "held_out", "held_out"), 1, ("t",), "abc", True),
+        (("held_out", "fitted", "held_out"), 1, ("t", "b"), "ac", True),
+        (("held_out", "held_out", "held_out"), 0, ("a",), "bc", False),
+        (("fitted", "fitted", "failed"), 0, (), "", True),
+    ],
+)
+def test_a_black_box_is_fitted_to_what_the_model_was_or_to_the_first(
+    status, training, fitted, shown, counts
+):
+    item = ChannelResult("ram.v", "m/s", 50.0, 0.0, 0.0, 0.0)
+    other = replace(item, channel="ram.x", fit_percent=None)
+    logs = [
+        LogResult(n, "none", s, 1.0, TICK, channels=(item, other))
+        for n, s in zip("abc", status, strict=True)
+    ]
+    asked = {}
+
+    def fit(channel, records):
+        asked[channel] = tuple(records)
+        return Stub(poles=np.zeros(2), tick=4e-3)
+
+    with answers(
+        baseline,
+        fit=fit,
+        _with_fits=lambda log, record, _: replace(log, name=log.name + record),
+        _better=lambda log: [log.name],
+    ):
+        found, box, better = baseline.black_boxes(logs, ["a", "b", "c"], [("t", "t")] * training)
+    assert asked == ({"ram.v": fitted} if shown else {})
+    assert (box.fitted, box.counts) == (fitted, counts)
+    assert box.orders == ({"ram.v": (2, 4e-3)} if shown else {})
+    assert [log.name for log in found] == [2 * n if n in shown else n for n in "abc"]
+    assert better == ([2 * n for n in shown] if counts else [])
 
 
 # --- residuals

@@ -1,28 +1,47 @@
 """Flow maps and operating points on small arrays, against closed forms."""
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
 import pytest
 
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.flow_maps import fit, results, step_readings, tables
-from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
+from ehbench.flow_maps import fit, results, shape, step_readings, tables
+from ehbench.flow_maps.readings import (
+    Cells,
+    FlowMapOptions,
+    Noise,
+    measure_noise,
+    readings_table,
+    sort_readings,
+)
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
+from ehbench.parts.cylinder import chamber_oil
+from ehbench.parts.line import drop_for
+from ehbench.parts.oil import bulk_of
+from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
-from ehbench.tune import arc, draws, linear, study
+from ehbench.tune import arc, draws, gains, linear, search, study
+from ehbench.tune import loop as loops
+from ehbench.tune import operating_point as steady
+from ehbench.tune.arc_loop import ArcLoop, LoopMargins, Sampled, Sensing
 from ehbench.tune.draws import draw_parameters, uncertain
-from ehbench.tune.loop import Law, _off_side_flows, damping_ratio
-from ehbench.tune.operating_point import FED, Aim
+from ehbench.tune.linear import development_model
+from ehbench.tune.loop import Law, Loop, _off_side_flows, close, damping_ratio
+from ehbench.tune.operating_point import FED, Aim, equivalent, operating_point
+from ehbench.tune.results import functions_of
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.codes import FUNCTIONS
+from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.terms import Z95
 from tests.settings import answers
-from tests.shared import shipped
+from tests.shared import refused, shipped, slide
 
 TICK = 1e-3
 
@@ -251,6 +270,473 @@ def test_the_motion_of_a_cylinder_is_that_of_its_rod_or_of_its_joint():
     assert motion(boom, q=q, x=t)[0].tolist() == t.tolist()
 
 
+@pytest.mark.parametrize(("more", "blocks"), [(-1, 1), (0, 2), (49, 2)])
+def test_a_chamber_takes_what_moves_it_squeezes_its_oil_and_leaks(more, blocks):
+    """Q = A v + V/β dP/dt + leakage, in whole blocks of 50 samples."""
+    rig = slide().with_values(
+        {
+            f"press.leakage_{end}": value
+            for end, value in (("internal", 2e-12), ("head", 1e-12), ("rod", 3e-12))
+        }
+    )
+    model = Model.of(rig)
+    row, t = model.plant.cylinders[0], np.arange(200) * TICK
+    x, head, rod = 0.1 + 0.05 * t, 8e6 + 2e6 * t, 3e6 - 1e6 * t
+    record = Record(
+        t,
+        {
+            "press.x": x,
+            "press.v": np.full(200, 0.05),
+            "press.p_head": head,
+            "press.p_rod": rod,
+            "p_tank": np.full(200, 2e5),
+        },
+    )
+    window = slice(20, 120 + more)
+    found = list(step_readings._steady_blocks(model, 0, record, window, 0.05))
+    assert [block.first for block in found] == [20, 70][:blocks]
+    for block in found:
+        at = slice(block.first, block.first + 50)
+        p = float(head[at].mean()), float(rod[at].mean())
+        lost = 2e-12 * (p[0] - p[1])
+        for side, (node, speed, rate, leak) in enumerate(
+            (
+                (row.node_head, row.area_head * 0.05, 2e6, lost + 1e-12 * (p[0] - 2e5)),
+                (row.node_rod, -row.area_rod * 0.05, -1e6, -lost + 3e-12 * (p[1] - 2e5)),
+            )
+        ):
+            volume = chamber_oil(row, side, float(x[at].mean()))
+            oil = volume / bulk_of(row, p[side]) * rate
+            assert block.inflow[int(node)] == pytest.approx(speed + oil + leak, rel=1e-6)
+    for off in ({"press.p_head": 1.01 * row.relief_pressure},
+                {"press.p_rod": 0.51 * row.cavitation_pressure}):  # fmt: skip
+        given = Record(t, record.channels | {name: np.full(200, p) for name, p in off.items()})
+        assert not list(step_readings._steady_blocks(model, 0, given, window, 0.05))
+
+
+@pytest.mark.parametrize("noise", [0.3, 4.0])
+def test_hysteresis_is_what_up_and_down_differ_by_over_the_slope(noise):
+    """Of a map 0.1 u² s: a regression through zero, its error no less than that of the noise;
+    readings below the deadband, of no way, silent, alone or left out say nothing."""
+    rng = np.random.default_rng(4)
+    u, s = np.linspace(0.5, 9.5, 60), np.linspace(0.3, 1.0, 60)
+    r: Any = Stub(commands=np.array([0.0, 10.0]), u=u, s=s, cell=np.arange(60))
+    r.sweep, r.silent = np.tile([1, -1, 0], 20), np.arange(60) == 30
+    std = 1e-3 * (1.0 + u)
+    lever = np.where(u > 2.0, -0.1 * r.sweep * u * s, 0.0)
+    residuals = 0.3 * lever + noise * std * rng.standard_normal(60)
+    keep = np.arange(60) != 40
+    solution: Any = Stub(at=lambda u, s: 0.1 * u**2 * s, flow=None, lone=np.arange(60) == 50)
+    for k in (30, 40, 50):
+        residuals[k] += 9.0
+    result: Any = Stub(readings=r, solution=solution, keep=keep, residuals=residuals)
+    result.deadband, result.noise = Stub(value=2.0), Stub(std=lambda *_: std)
+    value, error = fit._hysteresis_of(result)
+    use = (r.sweep != 0) & ~np.isin(np.arange(60), [30, 40, 50])
+    design, seen = (lever / std)[use], (residuals / std)[use]
+    (expected,), squares, *_ = np.linalg.lstsq(design[:, None], seen, rcond=None)
+    scatter = max(float(squares[0]) / (use.sum() - 1), 1.0)
+    assert (scatter > 1.0) == (noise > 1.0)
+    assert value == pytest.approx(expected)
+    assert error == pytest.approx(math.sqrt(scatter / (design @ design)))
+    for quiet in (Stub(sweep=np.maximum(r.sweep, 0)), Stub(u=np.full(60, 1.0))):
+        result.readings = Stub(**vars(r) | vars(quiet))
+        assert fit._hysteresis_of(result) == (0.0, 0.0)
+
+
+def shifting(now: float, value=1.0, one_drop=False) -> Any:
+    """A fit whose deadband shifts by so much."""
+    r: Any = Stub(shift=now, commands=[0.0, 10.0], one_drop=one_drop, levels=[0.0, 10.0])
+    r.shifted = float
+    bent: Any = Stub(deadband=1.0, above=np.array([1.5, 9.0]), smoothing=0.0)
+    bent.spline = lambda deadband: deadband
+    return Stub(readings=r, shape=bent, used=Stub(shifted=lambda more: now + more),
+                deadband=Stub(value=value), solution=Stub(widening=1.0))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("true", "value", "found"),
+    [(0.2, 1.0, 0.2), (-0.35, 1.0, -0.35), (0.7, 0.2, 0.4), (0.2, 0.0, 0.0)],
+)
+@pytest.mark.parametrize(("gain", "sure"), [(1e6, True), (0.1, False)])
+def test_a_shift_is_sought_within_twice_the_deadband(true, value, found, gain, sure):
+    """By halves of its step; one that gains too little over the map without is none."""
+    with answers(fit, replace=lambda item, **_: item, start_deadband=None,
+                 likeliest_smoothing=lambda _, at, coarse: (None, gain * (at - true) ** 2),
+                 regression=lambda *_: Stub(solve=lambda _: (None, 1e9))):  # fmt: skip
+        shift, std = fit._shift_of(shifting(0.0, value))
+    end, sure = 0.1 * fit.SETTINGS.shift * 10.0, sure and found != 0.0
+    assert shift == pytest.approx(found if sure else 0.0, abs=end if sure else 0.0)
+    assert std == pytest.approx(end if sure else 0.0)
+    assert fit._shift_of(shifting(0.0, one_drop=True)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("scale", [1e4, 1.0, -1e4])
+def test_a_shift_ends_where_its_likelihood_does(scale):
+    """−2 log L = 9 a² + 4 a b + 3 b² about its least, times a scale: its error is √(2 H⁻¹)."""
+    end, seen = 0.1 * fit.SETTINGS.shift * 10.0, []
+    a, b = 1.0 - 0.3 * end, 0.3 + 0.4 * end
+
+    def likelihood(deadband, shift):
+        off = deadband - a, shift - b
+        value = scale * (9.0 * off[0] ** 2 + 4.0 * off[0] * off[1] + 3.0 * off[1] ** 2)
+        return Stub(solve=lambda _: (None, value))
+
+    with answers(fit, replace=lambda item, above: seen.append(above) or item,
+                 regression=likelihood):  # fmt: skip
+        shift, std = fit._shift_of(shifting(0.3))
+    assert all(above == pytest.approx([1.5, 10.0 + 10.0 * end]) for above in seen)
+    error = (
+        math.sqrt(2.0 * np.linalg.inv(scale * np.array([[18.0, 4.0], [4.0, 6.0]]))[1, 1])
+        if scale > 0
+        else end
+    )
+    expected = (b if scale > 0 else 0.3, error) if scale != 1.0 else (0.0, 0.0)
+    assert (shift, std) == pytest.approx(expected, abs=1e-4 if scale < 0 else 6e-5)
+
+
+def test_a_misfit_counts_what_both_keep_over_the_noise_of_one():
+    """(1/1)² + (4/2)² over a lack of 4, and twice three parameters."""
+    one: Any = Stub(
+        readings=None,
+        residuals=np.array([1.0, 4.0, 3.0, 9.0]),
+        keep=np.array([True, True, False, True]),
+        solution=Stub(parameters=3.0),
+    )
+    by: Any = Stub(
+        noise=Stub(std=lambda *_: np.array([1.0, 2.0, 1.0, 1.0])),
+        keep=np.array([True, True, True, False]),
+        solution=Stub(flow=None, lack=4.0),
+    )
+    assert fit._misfit(one, by) == pytest.approx(1.25 + 6.0)
+
+
+@pytest.mark.parametrize("least", [(-4.5, -2.25), (-2.25, -4.5), (-12.0, 0.0), (0.0, -11.75)])
+@pytest.mark.parametrize("coarse", [True, False])
+def test_penalties_are_the_likeliest_of_a_lattice_of_quarter_decades(least, coarse):
+    work: Any = Stub(unit=np.array([2.0, 3.0]))
+    work.score = lambda p: (p[0] - least[0]) ** 2 + 2.0 * (p[1] - least[1]) ** 2
+    plain = shape.Shape(
+        1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.array([2e-6, 3e-6])
+    )
+    with answers(shape, regression=work):
+        found, value = shape.likeliest_smoothing(plain, None, coarse)  # pyright: ignore[reportArgumentType]
+        along = [shape.roughly_smoothed(plain, None, k) for k in (0, 1)]  # pyright: ignore[reportArgumentType]
+    if coarse or max(abs(x + 6.0) for x in least) <= 5.0:
+        assert np.log10(found.smoothing / work.unit) == pytest.approx(least)
+        assert value == 0.0
+    for k, (item, score) in enumerate(along):
+        at = np.log10(item.smoothing / work.unit)
+        assert at[1 - k] == pytest.approx(-6.0)
+        nearest = min(shape._COARSE, key=lambda x: abs(x - least[k]))
+        assert at[k] == pytest.approx(nearest)
+        assert score == pytest.approx(work.score(at))
+
+
+def rows_of(valve="servo_supply_head", way="forward", size=20, **columns: Any):
+    given = {
+        "command": np.linspace(0.5, 5.0, size),
+        "drop": np.full(size, 1e6),
+        "flow": np.linspace(1e-5, 1e-4, size),
+    } | columns
+    first = [given.pop(name) for name in ("command", "drop", "flow")]
+    return readings_table(*first, valve=valve, direction=way, **({"file": "a/b.csv"} | given))
+
+
+@pytest.mark.parametrize(
+    ("rig", "valve", "way", "sign", "name", "side"),
+    [
+        ("slide_servo", "servo_supply_rod", "forward", -1, "servo_supply_rod", "forward"),
+        ("slide_servo", "press.servo_rod_tank", "reverse", 1, "servo_rod_tank", "reverse"),
+        ("slide_servo", "servo", "head -> tank", -1, "servo_head_tank", "forward"),
+        ("slide_servo", "press.servo", "tank->rod", 1, "servo_rod_tank", "reverse"),
+        ("thesis_arm", "stick.servo", "supply->head", 1, "stick.servo_supply_head", "forward"),
+        ("thesis_arm", "boom.regen", "reverse", 1, "regen", "reverse"),
+        ("slide_servo", "servo", "forward", 1, "flow_maps.several_edges", ""),
+        ("slide_servo", "servo", "head->rod", 1, "flow_maps.unknown_direction", ""),
+        ("slide_servo", "servo_supply_hed", "forward", 1, "flow_maps.unknown_edge_near", ""),
+        ("slide_servo", "pump", "forward", 1, "flow_maps.unknown_edge", ""),
+        ("slide_servo", "servo_supply_rod", "forward", 1, "flow_maps.wrong_sign", ""),
+        ("slide_servo", "servo_supply_head", "forward", -1, "flow_maps.wrong_sign", ""),
+        ("slide_servo", "servo_supply_head", "forward", 2.03, "", "forward"),
+        ("slide_servo", "servo_supply_head", "forward", 2.05, "flow_maps.outside_driver", ""),
+    ],
+)
+def test_readings_go_to_the_edge_that_they_name(rig, valve, way, sign, name, side):
+    """With commands as openings, up to a hundredth of 20 V beyond 10 V."""
+    rows = rows_of(valve, way, command=sign * np.linspace(0.5, 5.0, 20))
+    if not side:
+        with refused(name):
+            tables.prepare_readings(shipped(rig), [rows])
+        return
+    (edge,) = tables.prepare_readings(shipped(rig), [rows]).edges
+    assert (edge.edge, edge.side) == (name or valve, side)
+    assert edge.sign == np.sign(sign) and edge.rows.file[0] == "b.csv"
+    assert edge.rows.command == pytest.approx(abs(sign) * np.linspace(0.5, 5.0, 20))
+
+
+@pytest.mark.parametrize(
+    ("flow", "ratio"),
+    [(1e-4, None), (1.1e-6, None), (0.9e-6, 0.9e-3), (0.019, None), (0.022, 20.9)],
+)
+def test_flows_far_from_what_the_supply_can_give_are_told(flow, ratio):
+    """1 L/s: below a thousandth of it all, or above twenty times nine of ten."""
+    (edge,) = tables.prepare_readings(
+        shipped("slide_servo"), [rows_of(flow=flow * np.linspace(0.5, 1.0, 21)[:-1] / 0.975)]
+    ).edges
+    told: list[Any] = list(edge.notes)
+    assert [note.fields["ratio"] for note in told] == pytest.approx(
+        [ratio] if ratio else [], rel=2e-3
+    )
+
+
+@pytest.mark.parametrize(("again", "lines"), [(3, "18, 19, 20"), (6, "15, 16, 17, 18, 19, …")])
+def test_rows_that_stand_twice_are_told(again, lines):
+    """Nothing is of a meter at rest."""
+    flow = np.linspace(0.0, 1e-4, 20)
+    command = np.linspace(0.5, 5.0, 20)
+    for values in (flow, command):
+        values[20 - again :] = values[1]
+        values[2:4] = values[0]
+    (note,) = tables._file_notes(rows_of(flow=flow, command=command))
+    told: Any = note
+    assert (told.fields["count"], told.fields["lines"]) == (again, lines)
+
+
+@pytest.mark.parametrize("by", ["drop", "command"])
+def test_a_temperature_that_goes_with_the_readings_is_told(by):
+    """From 40 to 45 °C, with the root of the drop or with the command; what says nothing of it
+    does not count."""
+    part = np.linspace(0.0, 1.0, 22)
+    rows: Any = Stub(pressure_drop=np.full(22, 4e6), command=np.full(22, 2.0))
+    if by == "drop":
+        rows.pressure_drop = 1e6 * (1.0 + part) ** 2
+    else:
+        rows.command = 1.0 + part
+    rows.temperature = 273.15 + 40.0 + 5.0 * part
+    rows.pressure_drop[7], rows.temperature[7], rows.temperature[8] = 0.0, 400.0, np.nan
+    show = tables._units(shipped("slide_servo"), 1)
+    (note,) = tables._warming(rows, show, "degC")
+    told: Any = note
+    assert told.key == f"flow_maps.warm_with_{by}"
+    assert told.fields["correlation"] == pytest.approx(1.0)
+    assert (told.fields["cold"], told.fields["warm"]) == ("40 degC", "45 degC")
+    ends = ("10 bar", "40 bar") if by == "drop" else ("1 V", "2 V")
+    assert (told.fields["low"], told.fields["high"]) == ends
+    rows.temperature[:] = 313.0
+    assert list(tables._warming(rows, show, "degC")) == []
+
+
+def test_a_table_of_points_has_every_reading_with_its_fitted_flow():
+    """A drop that was not measured is the nominal one; at a hysteresis the fitted flow is that of
+    the reading's own side."""
+    rows = rows_of(
+        "servo",
+        size=3,
+        command=np.array([1.0, 2.0, 3.0]),
+        method="meter",
+        drop=np.array([1e6, np.nan, 2e6]),
+        flow=np.array([1e-4, 2e-4, 4e-4]),
+    )
+    built: Any = Stub(valve="servo", direction="forward", drop_max=5e6, rated_flow=1e-4)
+    built.flow = lambda drop, u: 1e-4 * u + 1e-12 * drop
+    fit: Any = Stub(rows=rows, map=built, sign=-1, residuals=np.array([0.0, 1e-5, np.nan]))
+    fit.outliers = (Stub(file="a/b.csv", line=2),)
+    head, *lines = tables.points_table([fit], shipped("slide_servo")).splitlines()
+    assert head.startswith("valve,direction,command [V],driver_command [V],pressure_drop [bar],")
+    assert lines == [
+        "servo,forward,1,-1,10,6,6.06,meter,0,a/b.csv,1",
+        "servo,forward,2,-2,50,12,11.4,meter,1,a/b.csv,2",
+        "servo,forward,3,-3,20,24,18.12,meter,0,a/b.csv,3",
+    ]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.4])
+def test_a_meter_shows_nothing_below_its_limit_and_a_shift_moves_openings(shift):
+    """By half of it down at the largest drop, as much up at none. The root of a drop bends below a
+    hundredth of the largest."""
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(1.0, 6.0), np.arange(1.0, 7.0)))
+    flow = 1e-6 * np.arange(1.0, 31.0)
+    rows = readings_table(command, 1e6 * drop, flow)
+    r = sort_readings("map", rows, FlowMapOptions(meter_limit=3.5e-6)).shifted(shift)
+    assert r.q[r.silent].tolist() == [0.0] * 3 and r.silent.sum() == 3
+    assert r.q[~r.silent] == pytest.approx(flow[r.row][~r.silent])
+    assert r.u == pytest.approx(r.command - shift * (r.drop / 6e6 - 0.5))
+    assert r.delta == pytest.approx(6e4)
+    assert (r.step == r.level).all() or shift
+    assert (r.levels[r.step] >= r.u - 1e-12).all()
+
+
+def test_a_display_rounds_by_its_smallest_step_over_the_root_of_twelve():
+    """Of each method its own; steps of rounding are none."""
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(1.0, 6.0), np.arange(1.0, 7.0)))
+    method = np.where(np.arange(30) % 2, "meter", "cylinder")
+    flow = 1e-6 * np.arange(1.0, 31.0) * np.where(method == "meter", 1.0, 2.0)
+    flow[3] = flow[5] * (1.0 + 1e-13)
+    r = sort_readings(
+        "map", readings_table(command, 1e6 * drop, flow, method=method), FlowMapOptions()
+    )
+    assert r.digit == pytest.approx(
+        {"cylinder": 4e-6 / r.rated / 12**0.5, "meter": 2e-6 / r.rated / 12**0.5}
+    )
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_noise_is_the_scatter_of_repeats_or_what_a_map_leaves(times):
+    """Over its degrees of freedom: n − 1 of n readings of a cell, or one less the leverage, of
+    which a tenth stays; silent readings, left out ones, and a map of no flow."""
+    size = 30 * times
+    rng = np.random.default_rng(6)
+    r: Any = Stub(cell=np.repeat(np.arange(30), times), y=0.01 * rng.standard_normal(size))
+    r.method, r.silent = np.full(size, "meter"), np.arange(size) == 2
+    keep, leverage = np.arange(size) != 9, np.where(np.arange(size) % 2, 0.3, 0.97)
+    found = measure_noise(r, Noise({"meter": (9.0, 9.0)}), keep, leverage, np.zeros(size))
+    use = keep & ~r.silent
+    if times == 1:
+        squares, dof = r.y[use] ** 2, np.maximum(1.0 - leverage, 0.1)[use].sum()
+    else:
+        groups = [r.y[use & (r.cell == k)] for k in range(30)]
+        squares = np.concatenate([(y - y.mean()) ** 2 for y in groups])
+        dof = use.sum() - 30.0
+    floor, share = found.methods["meter"]
+    assert (floor, share) == (pytest.approx(math.sqrt(squares.sum() / dof)), 0.0)
+    assert found.replicates == (0 if times == 1 else dof)
+
+
+@pytest.mark.parametrize("share", [0.03, 0.3])
+def test_noise_that_goes_with_the_flow_is_a_share_of_it(share):
+    flow = np.repeat(np.linspace(0.1, 1.0, 40), 25)
+    rng = np.random.default_rng(7)
+    r: Any = Stub(cell=np.repeat(np.arange(40), 25), silent=np.zeros(1000, bool))
+    r.y, r.method = flow * (1.0 + share * rng.standard_normal(1000)), np.full(1000, "meter")
+    found = measure_noise(r, Noise({"meter": (0.0, 0.0)}), r.y < 9.0, 0.0 * flow, flow)
+    # by 960 degrees of freedom to 2.3 %, and the lattice of ratios to as much
+    assert found.methods["meter"][1] == pytest.approx(share, rel=0.08)
+    assert found.methods["meter"][0] < 0.02 * share and found.replicates == 960
+
+
+def test_cells_shift_about_half_of_the_largest_drop_and_lose_their_weight():
+    s = np.array([0.0, 0.5, 1.0])
+    cells = Cells(np.array([1.0, 2.0, 3.0]), s, s, np.ones(3), np.ones(3), s, 0)
+    assert cells.shifted(0.2).u == pytest.approx([1.1, 2.05, 2.9])
+    assert cells.shifted(0.0) is cells and cells.without(np.zeros(3, bool)) is cells
+    some = cells.without(np.array([False, True, False]))
+    assert some.weight.tolist() == [1.0, 0.0, 1.0] and some.weighed == 2
+    assert cells != some and cells == replace(cells, u=cells.u.copy())
+    assert len({cells, some, replace(some)}) == 2
+
+
+@pytest.mark.parametrize(
+    ("y", "lack", "first", "low", "high", "bracket"),
+    [
+        ([1e-4, 1e-3, 1.9e-3, 0.3, 0.5, 0.9], 1.0, 3, 1.0, 3.98, (3.0, 4.0)),
+        ([1e-4, 1e-3, 2.1e-3, 0.3, 0.5, 0.9], 1.0, 2, 1.0, 2.98, (2.0, 3.0)),
+        ([1e-4, 1e-3, 2.1e-3, 0.3, 0.5, 0.9], 4.0, 3, 1.0, 3.98, (3.0, 4.0)),
+        ([1e-4, 5e-3, 1.9e-3, 0.3, 0.5, 0.9], 1.0, 3, 1.0, 3.98, (3.0, 4.0)),
+        ([1e-4, 5e-3, 0.1, 0.3, 0.5, 0.9], 1.0, 1, 0.0, 1.98, (1.0, 2.0)),
+        ([5e-3, 5e-3, 0.1, 0.3, 0.5, 0.9], 1.0, 0, 0.0, 0.98, (0.0, 1.0)),
+        ([1e-4, 2e-3, 1e-3, 1e-3, 0.5, 0.9], 1.0, None, 0.0, 0.0, None),
+    ],
+)  # fmt: skip
+def test_a_deadband_lies_below_the_first_command_that_surely_passes(
+    y, lack, first, low, high, bracket
+):
+    """By four errors, which are 10⁻³ of a reading, half of that of four, and more with a lack of
+    fit; it lies above the last but one of the commands below the last that is shut."""
+    readings: Any = Stub(levels=np.arange(1.0, 7.0), cell_level=np.arange(6), who="map")
+    cells: Any = Stub(weight=np.full(6, 4e6), y=np.array(y), count=np.full(6, 4.0))
+    if first is None:
+        with refused("flow_maps.mostly_shut", InsufficientData):
+            shape.window_of(readings, cells, lack)
+        return
+    found = shape.window_of(readings, cells, lack)
+    assert (found.opens, found.low, found.bracket) == (first, low, bracket)
+    assert found.high == pytest.approx(high) and found.flows_at_lowest == (first == 0)
+
+
+@pytest.mark.parametrize(("at", "shut"), [(2.0, True), (2.013, True), (2.013, False), (0.0, True)])
+def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut):
+    """A parabola of 0.5 V, between the places looked at; at 95 % or, extrapolated, 99.9 %."""
+    grid = np.linspace(0.0, 4.0, 81)
+    window = shape.Window(0.0, 4.0, 1, (0.0, 4.0), not shut)
+    readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
+    plain = shape.Shape(1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.ones(2))
+    with answers(shape, window_of=window, _profile=(grid, ((grid - at) / 0.5) ** 2)):
+        found, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
+    assert found.value == built.deadband == pytest.approx(at, abs=1e-4)
+    assert found.at_bound == (at == 0.0) and built.above.tolist() == list(range(1, 11))
+    half = 0.5 * math.sqrt(shape.SETTINGS.level_95 if shut else shape.SETTINGS.level_999)
+    assert found.interval == pytest.approx((max(at - half, 0.0), at + half), abs=2e-3)
+    weight = np.exp(-0.5 * ((grid - at) / 0.5) ** 2)
+    spread = np.average((grid - found.value) ** 2, weights=weight) + 0.05**2 / 12.0
+    assert found.std == pytest.approx(math.sqrt(spread))
+    narrow = shape.Window(2.0, 2.0, 1, (0.0, 4.0), False)
+    with answers(shape, window_of=narrow, _profile=None):
+        none, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
+    assert none == shape.Deadband() and built.deadband == 0.0
+
+
+def test_a_maps_error_has_what_trials_commands_and_drops_are_off_by():
+    """Of a flow u·d: two trials, of which one reads the larger commands; what a command and a drop
+    are off by goes with the slopes; half of what the root of a small drop differs by."""
+    d, more = np.array([0.3, 0.5, 0.8]), 0.2
+    s, u = d / (d**2 + more**2) ** 0.25, np.array([1.0, 1.5, 2.0])
+    r: Any = Stub(commands=np.array([1.0, 2.0]), level=np.array([0, 0, 1, 1]), delta=2e5)
+    r.trial, r.drop_max, r.command_std, r.drop_std = np.array([1, 2, 1, 2]), 1e6, 0.01, 0.02
+    design = lambda u, s: (u * np.repeat(d[None], 3, axis=0).ravel())[:, None]  # noqa: E731
+    solution = Stub(spline=Stub(design=design), coefficients=np.ones(1), widening=3.0)
+    solution.variance = lambda design: np.full(9, 1e-4)
+    result: Any = Stub(readings=r, shape=None, solution=solution)
+    result.keep = np.array([True, True, True, False])
+    with answers(results, _missed=np.full(9, 2e-4), _between=np.full(9, 3e-4), _uncertain=()):
+        found = results._flow_std(result, u, s, 0.05)
+    flow, few = np.outer(u, d), np.sqrt(2.0 / np.array([2.0, 1.5, 1.0]))[:, None]
+    square = 3e-4 + 5e-4 + (0.05 * few * flow) ** 2
+    square = square + (0.5 * flow * (np.sqrt(d) / s - 1.0)) ** 2
+    square += (0.01 * d) ** 2 + (0.02 * u[:, None]) ** 2
+    assert found == pytest.approx(np.sqrt(square))
+
+
+def test_a_map_is_drawn_with_each_number_at_either_end_of_its_interval():
+    """Also softly from below the deadband; a deadband is not below zero."""
+
+    class Shape(Stub):
+        def spline(self, *at, **how):
+            return (self.kinks, *at, *how)
+
+    kinks = [Stub(value=3.0, std=0.2), Stub(value=5.0, std=0.1)]
+
+    def fit(value, std, low, shift, some):
+        return Stub(
+            shape=Shape(kinks=()),
+            kinks=some,
+            shift_std=shift,
+            deadband=Stub(value=value, std=std, interval=(low, 9.0)),
+        )
+
+    def drawn(*given) -> Any:
+        with answers(results, replace=lambda _, kinks: Shape(kinks=kinks)):
+            return list(results._uncertain(fit(*given)))  # pyright: ignore[reportArgumentType]
+
+    assert drawn(1.0, 0.0, 1.0, 0.0, []) == []
+    (sides,) = drawn(1.0, 0.3, 1.0, 0.0, [])
+    assert sides == ((((), 1.0 - 0.3 * Z95), 0.0), (((), 1.0 + 0.3 * Z95), 0.0))
+    (sides,) = drawn(1.0, 0.6, 1.0, 0.0, [])
+    assert sides[0] == (((), 0.0), 0.0)
+    (sides,) = drawn(1.0, 0.0, 0.7, 0.0, [])
+    assert sides == ((((), 0.7, "soft"), 0.0), (((),), 0.0))
+    (sides,) = drawn(1.0, 0.0, 1.0, 0.1, [])
+    assert sides == ((((),), -0.1 * Z95), (((),), 0.1 * Z95))
+    ends = [
+        [(1.0 * end[0][0][1], end[1]) for end in sides]
+        for sides in drawn(1.0, 0.0, 1.0, 0.0, kinks)
+    ]
+    assert ends == [
+        [(3.0 - 0.2 * Z95, 0.0), (3.0 + 0.2 * Z95, 0.0)],
+        [(5.0 - 0.1 * Z95, 0.0), (5.0 + 0.1 * Z95, 0.0)],
+    ]
+
+
 # --- loops of operating points
 
 
@@ -372,3 +858,688 @@ def test_draws_of_correlations_that_cannot_be_together_are_of_the_nearest():
     with answers(draws, draw_parameters=None):
         found = draws.robustness(given, [], Law(0.0, 0.0, 0.0), {}, None, lambda share: None)
     assert (found.draws, found.parameters) == (0, ("a", "b", "c"))
+
+
+# --- sampled loops
+
+
+def sampled(a, b, c, d) -> Sampled:
+    return Sampled(*(np.atleast_2d(np.asarray(item, float)) for item in (a, b, c, d)))
+
+
+@pytest.mark.parametrize(("late", "lag"), [(0.0, 0.0), (0.25, 0.0), (1.0, 2.0), (2.4, 3.0)])
+def test_a_sampled_loop_swings_by_its_polynomial(late, lag):
+    """Of one state under one of the law's: (z − a)(z − a₂)z³ of all that stands between; a delay
+    of parts of a tick lies on the line between two samples, a lag is that of the pressure."""
+    plant = sampled(0.9, 0.5, [[1.0], [2.0]], [[0.0], [0.0]])
+    law = sampled(0.6, [[0.3, 0.1]], -1.0, [[-0.2, -0.05]])
+    loop = ArcLoop(plant, law, TICK, np.array([False, True]))
+    sensing = Sensing(late * TICK, lag * TICK)
+    keep, whole = math.exp(-1.0 / lag) if lag else 0.0, int(late)
+    share = late - whole
+    between = np.polymul([1.0 - share, share], [0.5])  # over z^(whole + 1)
+    at_law = [np.array([d, -0.6 * d - b]) for d, b in ((-0.2, 0.3), (-0.05, 0.1))]
+    seen = np.polyadd(
+        np.polymul(at_law[0], [1.0, -keep]), np.polymul(at_law[1], [2.0 * (1.0 - keep), 0.0])
+    )
+    left = np.polymul(np.polymul([1.0, -0.9], [1.0, -0.6]), [1.0, -keep])
+    left = np.append(left, np.zeros(whole + 1))
+    roots = np.roots(np.polysub(left, np.polymul(between, seen)))
+    roots = np.log(roots[np.abs(roots) > 1e-6].astype(complex)) / TICK
+    poles = loop.poles(sensing)
+    poles = poles[poles.real * TICK > -5.0]  # others are 0 but for rounding
+    assert np.sort_complex(poles) == pytest.approx(np.sort_complex(roots), rel=1e-6, abs=1e-3)
+    swings = roots[np.abs(roots.imag) > 3.0]
+    assert swings.size == 0 or loop.growth(sensing) == pytest.approx(swings.real.max(), rel=1e-6)
+    omega, loci = loop.loci(sensing)
+    z = np.exp(1j * omega * TICK)
+    through = np.polyval(at_law[0], z) + 2.0 * np.polyval(at_law[1], z) * (1.0 - keep) * z / (
+        z - keep
+    )
+    expected = through / (z - 0.6) * 0.5 / (z - 0.9) * np.exp(-1j * omega * late * TICK)
+    assert loci[:, 0] == pytest.approx(expected)
+    assert (omega[0], omega[-1]) == pytest.approx((3.0, 0.98 * math.pi / TICK))
+
+
+@pytest.mark.parametrize("gains", [(0.3,), (0.3, 0.2), (0.2, 0.35)])
+def test_the_margins_of_sampled_integrators_a_tick_late(gains):
+    """Each z² − z + k: |L| = k/(2 sin ωT/2), which turns by π/2 − 3ωT/2."""
+    one, none = np.eye(len(gains)), np.zeros((len(gains), 0))
+    plant = Sampled(one, one, one, 0.0 * one)
+    sensing, lagged = Sensing(TICK), np.zeros(len(gains), bool)
+
+    def loop(factor: float) -> ArcLoop:
+        law = Sampled(np.zeros((0, 0)), none.T, none, -factor * np.diag(gains))
+        return ArcLoop(plant, law, TICK, lagged)
+
+    k = max(gains)
+    omega = 2.0 * math.asin(0.5 * k) / TICK
+    turn = 0.5 * math.pi - 1.5 * omega * TICK
+    found = loop(1.0).margins(sensing)
+    expected = (1.0 / k, turn, turn / omega, omega)
+    assert found == pytest.approx(expected, rel=1e-4)
+    assert found.stated == pytest.approx(turn / omega / 1.5, rel=1e-4)
+    assert loop(1.0).growth(sensing) == pytest.approx(0.5 * math.log(k) / TICK)
+    assert loop(1.02 / k).margins(sensing) == (0.0,) * 4
+    assert min(loop(0.99 / k).margins(sensing)) > 0.0
+
+
+# --- points
+
+EXTEND = FUNCTIONS.index("extend_resistive")
+
+
+def motion_of(model: Model, function: int = EXTEND, **more: Any) -> Any:
+    here = equivalent(model, 0, np.array([0.2]))
+    return steady._Motion(model, circuit_of(model, 0), function, here, 0, Aim(5e5, 5e5, **more))
+
+
+@pytest.mark.parametrize("v", [0.05, -0.02])
+def test_a_force_on_the_rod_carries_and_damps_a_motion(v):
+    """One that falls by 30 N a m/s from 100 N at rest; both ends of the cylinder balance it."""
+    rig = slide().with_values({"press.leakage_rod": 3e-12, "press.leakage_head": 1e-12})
+    motion = motion_of(Model.of(rig), speed=abs(v))
+    function = next(
+        f
+        for f in range(1, 5)
+        if motion.circuit.able[f]
+        and steady.DIRECTION[f] == np.sign(v)
+        and not steady.OVERRUNNING[f]
+    )
+    given = motion.model, motion.circuit, function, motion.here, 0, motion.aim
+    free = operating_point(*given)
+    with answers(steady, force_on=lambda at, x, v, *_: 100.0 - 30.0 * v):
+        point = operating_point(*given)
+    row = motion.row
+    assert point.v == v and point.friction == pytest.approx(free.friction + 30.0)
+    assert point.load_force == pytest.approx(free.load_force - 100.0 + 30.0 * v)
+    force = row.area_head * point.p_head - row.area_rod * point.p_rod
+    assert force == pytest.approx(point.load_force)
+    flows = np.zeros(2)
+    for path in point.paths:
+        flows += path.flow * steady.INTO[path.path]
+    lost = 1e-12 * (point.p_head - point.p_tank), 3e-12 * (point.p_rod - point.p_tank)
+    across = row.leakage_internal * (point.p_head - point.p_rod)
+    assert flows == pytest.approx(
+        [row.area_head * v + across + lost[0], -row.area_rod * v - across + lost[1]], rel=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("rail", "zero", "found"),
+    [
+        (None, 3e6, 3e6),
+        (1e6, 3e6, 3e6),
+        (1e6, 4e5, 4e5),
+        (4e6, 3e6, 3e6),
+        (None, 2e7, 1e7),
+        (None, -1e7, 1e5),
+        (1e6, 2e7, 1e7),
+    ],
+)
+def test_a_common_opening_is_on_the_rail_or_on_the_line(rail, zero, found):
+    """Surplus of 1 a Pa from ``zero`` on, and on the line above the rail, where it is far below
+    zero or far above it, as the root lies on the other side."""
+    tank, line = 1e5, 1e7
+    jump = 0.0 if rail is None else 1e9 * np.sign(rail - zero) * -1.0
+
+    def railed(at: Any) -> bool:
+        return rail is not None and at < rail
+
+    def surplus(at: float) -> float:
+        other = rail is not None and (at < rail) != (zero < rail)
+        return at - zero + other * jump
+
+    plant = Stub(supply=Stub(pressure=line))
+    motion: Any = Stub(
+        circuit=None,
+        function=EXTEND,
+        p_tank=tank,
+        model=Stub(plant=plant),
+        railed=railed,
+        chambers=lambda force, off: (force, off),
+        ports=lambda v, head, off: (off, np.full(9, 0.5)),
+    )
+    with answers(
+        steady,
+        path_drop=lambda path, at, _: at,
+        _command=lambda _, path, need, drop: (need, path),
+        _flow=lambda _, path, at, command: 0.5 + surplus(at),
+    ):
+        off = steady._Motion.common_opening(motion, 0.1, 5.0)
+    assert off == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("limit", "rail", "top"), [(9.0, 0.0, 0.8), (0.5, 0.0, 0.5 / 2.0), (0.5, 1.0, 0.8)]
+)
+@pytest.mark.parametrize("most", [9.0, 0.15])
+def test_full_speed_is_what_valves_pump_and_pressures_carry(limit, rail, top, most):
+    """Of valves 0.8 m/s, of the pump its flow over 2 m²; where that is impossible, halved in."""
+    motion: Any = Stub(
+        function=EXTEND,
+        circuit=None,
+        settle=lambda v: Stub(p_head=0.0, p_rod=0.0),
+        at_ports=lambda *at: at,
+        railed=lambda at: rail > 0.0,
+        model=Stub(plant=Stub(supply=Stub(flow_limit=limit))),
+        impossible=lambda v: v > most,
+    )
+    with answers(steady, top_speed=0.8, supply_draw=2.0):
+        found = steady._Motion.full_speed(motion)
+    within = 0.8 * 2.0**-steady.POINT.halvings
+    assert found == top if top < most else most - within <= found <= most
+
+
+@pytest.mark.parametrize(
+    ("limit", "rail", "railed", "short"),
+    [
+        (0.9, 1.0, False, True),
+        (1.1, 1.0, False, False),
+        (0.9, 0.0, False, False),
+        (0.9, 1.0, True, False),
+    ],
+)
+def test_a_pump_is_short_of_what_it_feeds_beside_a_rail(limit, rail, railed, short):
+    fed, other = next(iter(FED)), next(p for p in range(9) if p not in FED)
+    paths: Any = [Stub(path=fed, flow=1.0), Stub(path=other, flow=5.0)]
+    supply = Stub(rail=rail, flow_limit=limit)
+    motion: Any = Stub(
+        model=Stub(plant=Stub(supply=supply)), railed=lambda at: railed, ports=lambda *_: (0, 0)
+    )
+    settled: Any = Stub(p_head=0.0, p_rod=0.0)
+    assert steady._Motion.short(motion, 0.1, settled, paths) == short
+
+
+def test_a_line_lies_between_valve_and_chamber():
+    """Its drop is that of the flow into its end; its slope that of its law."""
+    pipe = {"end": "rod", "volume": "0.2 L", "resistance": "2 bar*min/L"}
+    model = Model.of(slide(line=[pipe | {"orifice_gain": "10 gpm/MPa^0.5"}]))
+    motion = motion_of(model)
+    at, _ = motion.ports(0.1, 6e6, 3e6)
+    row, line = motion.row, model.plant.lines[0]
+    into = (
+        -row.area_rod * 0.1 - row.leakage_internal * 3e6 + row.leakage_rod * (3e6 - motion.p_tank)
+    )
+    assert (at.head, at.rod) == pytest.approx((6e6, 3e6 + drop_for(into, line)))
+    for flow in (1e-4, -2e-5, 3e-7):
+        slope = (drop_for(1.0001 * flow, line) - drop_for(0.9999 * flow, line)) / (2e-4 * flow)
+        hose = steady.Hose(1, 0, line, drop_for(flow, line))
+        assert hose.slope == pytest.approx(1.0 / slope, rel=1e-3)
+
+
+def test_what_no_valve_can_do_is_refused():
+    model = Model.of(slide())
+    circuit = circuit_of(model, 0)
+    for function in (0, FUNCTIONS.index("extend_resistive_regeneration")):
+        with pytest.raises(InputError):
+            steady._check(model, circuit, function)
+
+
+@pytest.mark.parametrize(
+    ("sign", "command", "most", "reachable"),
+    [(1, None, 5.0, True), (1, None, 4.9, False), (1, 5.1, 6.0, True), (1, 4.9, 6.0, False),
+     (-1, None, -5.0, True), (-1, None, -4.9, False)],
+)  # fmt: skip
+@pytest.mark.parametrize("along", [1.0, -1.0])
+def test_a_path_has_the_slopes_of_its_law_and_a_command_within_reach(
+    sign, command, most, reachable, along
+):
+    """Q = 10⁻⁸ u √Δp along it: 5 V for 10⁻⁴ m³/s at 4 MPa; its slopes Q/(2 Δp) and Q/u."""
+    lead = int(steady.METERING[EXTEND])
+    circuit: Any = Stub(paths={lead: 2, 7: 2}, along={lead: along, 7: along}, maps=None)
+    circuit.edges = {2: Stub(sign=sign, valve=3)}
+    law = lambda drop, u: 1e-8 * abs(u) * np.sign(drop) * math.sqrt(abs(drop))  # noqa: E731
+    asked = []
+    with answers(steady, edge_flow=lambda drop, u, *_: law(drop, u),
+                 edge_command=lambda drop, flow, *_: sign * flow / law(drop, 1.0),
+                 widest=lambda _, edge, drop: asked.append(drop) or most):  # fmt: skip
+        found = steady._path(circuit, EXTEND, lead, 1e-4, 4e6, ("a", "b", "c"), command)
+        other = steady._path(circuit, EXTEND, 7, 1e-4, 4e6, ("a", "b", "c"), command)
+    u = command or 5.0 * sign
+    assert (found.edge, found.valve, found.command) == ("c", 3, pytest.approx(u))
+    assert (found.metering, other.metering) == (True, False)
+    assert found.slope == pytest.approx(2e-5 * abs(u) / 8e6, rel=1e-4)
+    assert found.gain == pytest.approx(2e-5 * sign, rel=1e-6)
+    assert found.reachable == reachable and asked[0] == along * 4e6
+    with answers(steady, edge_flow=lambda *_: along, widest=most):
+        shut = steady._path(circuit, EXTEND, lead, 1e-4, 4e6, ("a", "b", "c"), 1.0 * sign)
+    assert shut.gain == 0.0 and not shut.reachable
+
+
+# --- loops about points
+
+
+def loop_of(a, b, c, off=None, delay=0.0) -> Loop:
+    a, b, c = (np.asarray(item, float) for item in (a, b, c))
+    off = np.zeros(a.shape) if off is None else off
+    return Loop(a, b, c, b, b, off, math.inf, delay, slice(0))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "limit"),
+    [
+        ([[-2.0]], [1.0], 2.0),
+        ([[1.0]], [1.0], 0.0),
+        ([[-2.0]], [-1.0], math.inf),
+        ([[-1, 1, 0], [0, -1, 1], [0, 0, -1]], [0, 0, -1.0], 8.0),
+    ],
+)
+def test_a_loop_is_stable_up_to_its_limit(a, b, limit):
+    """Of one state its own pole; of three that follow each other eight times it."""
+    c = np.eye(len(b))[0]
+    assert loops.gain_limit(loop_of(a, b, c), np.geomspace(1e-3, 1e3, 61)) == pytest.approx(limit)
+
+
+def test_a_loop_is_cut_at_its_feedback_and_at_its_off_side():
+    a = np.array([[-1.0, 2.0, 0.5], [0.0, -3.0, 1.0], [0.3, 0.0, -2.0]])
+    off = np.outer([1.0, -2.0, 0.5], [0.0, 0.7, 0.4])
+    loop = loop_of(a, [0.2, 0.0, 1.0], [1.0, -1.0, 0.0], off)
+    first, second = loops._open_loops(loop, 0.5)
+    assert np.outer(first.b, first.c) == pytest.approx(-0.5 * np.outer(loop.b, loop.c))
+    assert first.a is loop.a and np.outer(second.b, second.c) == pytest.approx(-off)
+    assert second.a == pytest.approx(a + 0.5 * np.outer(loop.b, loop.c) - off)
+    assert len(loops._open_loops(loop, 0.0)) == 1
+    assert len(loops._open_loops(replace(loop, off=0.0 * off), 0.5)) == 1
+
+
+@pytest.mark.parametrize("function", ["extend_resistive", "retract_resistive"])
+@pytest.mark.parametrize("feedback", ["metered", "load"])
+@pytest.mark.parametrize("delay", [0.0, 4e-3])
+def test_a_loop_about_a_point_is_its_law_and_its_linear_model(function, feedback, delay):
+    """In frequencies: the valve inverts its metering edge at a late drop; fed back is the metered
+    pressure, or A₁P₁ − A₂P₂ over its area, washed out twice."""
+    motion = motion_of(Model.of(slide()), FUNCTIONS.index(function), share=0.5)
+    point = operating_point(
+        motion.model, motion.circuit, motion.function, motion.here, 0, motion.aim
+    )
+    linear = development_model(motion.model, point)
+    loop = close(linear, point, motion.circuit, Law(3.0, 0.0, delay, 7.0, feedback))
+    assert loop.fastest == (2.5 / delay if delay else math.inf)
+    (path,) = (item for item in point.paths if item.metering)
+    areas, own = np.array([motion.row.area_head, -motion.row.area_rod]), 0 if point.v > 0.0 else 1
+    size = len(linear.a)
+    fed, back, drop = np.zeros((3, size))
+    fed[0], back[1:3] = 1.0, np.eye(2)[own] if feedback == "metered" else areas / areas[own]
+    drop[1:3] = steady.INTO[path.path]
+    for s in (0.1 + 2.0j, 5.0 + 90.0j, 400.0j):
+        first = 6.0 / delay if delay else 0.0
+        late = 1.0 - 2.0 * first * s / (s**2 + first * s + first * first / 3.0)
+        order = np.outer(linear.b[:, 0], path.slope / path.gain * late * drop)
+        rest = s * np.eye(size) - linear.a - order
+        flow, push = (np.linalg.solve(rest, side) for side in (linear.b[:, 0], linear.e))
+        scaled = s * np.eye(len(loop.a)) - loop.a
+        washed = late * s**2 / ((s + 3.0) * (s + 7.0)) * back
+        for c, b, expected in (
+            (loop.c, loop.b, -washed @ flow / path.gain),
+            (np.eye(len(loop.a))[0], loop.d, fed @ flow * areas[own] / path.gain),
+            (np.eye(len(loop.a))[0], loop.e, fed @ push),
+        ):
+            assert c @ np.linalg.solve(scaled, b) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("demand", "gain", "key"), [(0.0, 1.0, ""), (5.0, 0.5, "limited_gain"), (1e3, 1.0, "no_gain")]
+)
+def test_a_gain_has_the_best_worst_damping_that_keeps_the_demands(demand, gain, key):
+    """0.5 + 0.2 z and 1 − 0.3 z over z = ln K meet at 1; a margin of 10/K."""
+
+    def loop(level, slope):
+        z = lambda gain: np.log(np.maximum(gain, 1e-9))  # noqa: E731
+        return Stub(damping_ratio=lambda gain: level + slope * z(gain))
+
+    motions: Any = [Stub(loop=lambda _, of=of: loop(*of)) for of in ((0.5, 0.2), (1.0, -0.3))]
+    gains = np.concatenate([[0.0], np.exp(np.arange(-2.0, 3.1, 0.5))])
+    notes: list[Any] = []
+    with answers(search, margins=lambda loop, gain: Stub(gain_margin=10.0 / gain)):
+        found = search.choose_gain(motions, Law(0, 0, 0), gains, {"gain_margin": demand}, notes)
+    assert math.log(found) == pytest.approx(gain, abs=2e-3)
+    assert [note.key for note in notes] == ([f"tune.{key}"] if key else [])
+    if key == "limited_gain":
+        assert notes[0].fields["share"] == pytest.approx(math.exp(-0.5), rel=2e-3)
+        assert notes[0].fields["damping"] == pytest.approx(0.7, abs=1e-3)
+    best = search.best_gain(motions, Law(0, 0, 0), gains)
+    assert best == pytest.approx((0.7, math.e))
+
+
+# --- what is told of a circuit
+
+
+def test_a_function_is_told_with_its_edges():
+    """Each by the title of its valve, if that has no other."""
+    arm = shipped("thesis_arm")
+    circuit = circuit_of(Model.of(arm), 1)
+    uses = {use.name: use for use in functions_of(arm, circuit)}
+    crosses = {name: use.cross for name, use in uses.items() if use.cross}
+    back = ("extend_overrunning_regeneration", "extend_resistive_regeneration")
+    assert crosses == dict.fromkeys(back, "rod_head") | {
+        "retract_overrunning_regeneration": "head_rod"
+    }
+    draws = circuit.area_head, circuit.area_head - circuit.area_rod
+    assert (uses["extend_resistive"].draws, uses[back[0]].draws) == pytest.approx(draws)
+    out, feed, across, *_ = uses[back[1]].edges
+    assert (out.way, feed.way, across.way) == (0, 1, -1)
+    assert (out.meters, feed.meters, across.meters) == (False, True, False)
+    assert (out.shares, feed.shares, feed.name) == ((0, 0), (1, -1), "Valve 2: HEPC")
+    for name, title in (("slide_servo", "Servo"), ("boom_four_valve", "")):
+        plain = shipped(name).as_toml()
+        for valve in plain["cylinder"][0]["valve"]:
+            valve["title"] = title
+        rig = Rig.model_validate(plain)
+        (use, *_) = functions_of(rig, circuit_of(Model.of(rig), 0))
+        names = [valve.edge_name(edge) for _, valve, edge in rig.edges()]
+        assert [edge.name for edge in use.edges] == names
+
+
+# --- gains, draws, margins
+
+
+@pytest.mark.parametrize("matrix", [[[1, 0.5], [0.3, 1]], [[1, 1.2], [1.2, 1]], [[1, 0.5]]])
+def test_a_matrix_of_correlations_is_square_even_and_at_most_one(matrix):
+    rig: Any = Stub(parameters=lambda: {n: Value(5.0, "identified", std=0.1) for n in "ab"})
+    with refused("tune.wrong_correlation", InputError):
+        draw_parameters(rig, ("a", "b"), (("a", "b"), matrix), 3, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(
+    ("minimum", "single", "washout", "ramp"),
+    [(0.5, True, 3.0, False), (0.5, False, 1.5, True), (0.71, False, 0.9, False),
+     (0.9, True, 1.0, False), (0.9, False, 1.0, False)],
+)  # fmt: skip
+def test_a_law_has_the_fastest_washouts_that_reach_the_target(minimum, single, washout, ramp):
+    """0.8 − (ω_w + ω_r)/10 less what the off-side and K_p are off by: one washout to a sixteenth of
+    an octave, or two, if no slower than a quarter of it. Where none reaches it, the fastest that
+    keeps 0.95 of the best."""
+    work = search.LawSearch.__new__(search.LawSearch)
+    least = math.log(2.0) / 16.0
+
+    def loop(law: Law) -> Any:
+        level = 0.8 - 0.1 * (law.washout + law.ramp_washout) - 0.02 * (law.off_gain - 2.0) ** 2
+        return Stub(
+            damping_ratio=lambda gain: level - np.log(np.maximum(gain, 1e-9)) ** 2, gain=law
+        )
+
+    motions: Any = [Stub(loop=loop), Stub(loop=loop)]
+    work.motions, work.gains, work.demands = motions, np.array([0.0, 0.5, 1.0, 2.0]), {}
+    corners = [8.0, 4.0, 2.0, 1.0, *((0.5,) if minimum < 0.9 else ())]
+    work.corners, work.offs, work.delay, work.ramp = corners, [1.0, 2.0, 3.0], 1e-3, 0.0
+    work.free, work.single, work.minimum = True, single, minimum
+    work._queue, work._known = list(motions), {}
+    with answers(search, margins=lambda *_: None):
+        law = work.law()
+    assert law.off_gain == 2.0 and law.delay == 1e-3
+    assert 0.0 <= math.log(washout / law.washout) <= least + 1e-9
+    assert law.ramp_washout == (law.washout if ramp else 0.0)
+    work.demands = {"gain_margin": 2.0}
+    with answers(search, margins=lambda loop, gain: Stub(gain_margin=8.0 / loop.gain.washout)):
+        limited = work.law()
+    kept = min(washout, 4.0)
+    assert minimum > 0.8 or 0.0 <= math.log(kept / limited.washout) <= least + 1e-9
+    work.free = False
+    work.corners = [4.0]
+    assert work.law() == Law(4.0, 2.0, 1e-3, 0.0)
+
+
+@pytest.mark.parametrize("one", [True, False])
+def test_each_function_has_its_gain_or_all_have_one(one):
+    """One that no load calls for has the least."""
+    motions = [Stub(point=Stub(function=f), counts=f != "c") for f in "aabc"]
+    given: Any = Stub(motions=motions, recipe=Stub(one_gain=one))
+    with answers(gains, choose_gain=lambda group, *_: float(len(group))):
+        found = gains._gains_by_function(given, *[None] * 4)  # pyright: ignore[reportArgumentType]
+    assert found == (dict.fromkeys("abc", 3.0) if one else {"a": 2.0, "b": 1.0, "c": 1.0})
+    results: Any = [Stub(damping_ratio_open=a, damping_ratio_held=b) for a, b in ((1, 5), (3, 4))]
+    assert gains._ranges(results) == {
+        "damping_ratio_open": 1,
+        "damping_ratio_open_most": 3,
+        "damping_ratio_held": 4,
+        "damping_ratio_held_most": 5,
+    }
+
+
+@pytest.mark.parametrize("washout", [0.0, 0.5])
+def test_curves_are_of_the_least_damped_point_of_each_function_and_payload(washout):
+    points = [Stub(function=f, payload=p) for f, p in ("ax", "ax", "ay", "ax", "bx")]
+    results: Any = [
+        Stub(point=point, damping_ratio_closed=d, gain_limit=10.0 * i)
+        for i, (point, d) in enumerate(zip(points, (0.5, 0.3, 0.9, 0.4, 0.2), strict=True))
+    ]
+    given: Any = Stub(motions=[Stub(point=point, at=i) for i, point in enumerate(points)])
+    with answers(
+        gains,
+        locus=lambda motion, law, *rest: (motion.at, *rest),
+        step_response=lambda motion, law, result, gain: (motion.at, gain),
+    ):
+        found: Any = gains._curves(given, results, Law(washout, 0.0, 0.0), {"a": 2.0, "b": 3.0})
+    loci, steps = found
+    assert steps == ((1, 2.0), (2, 2.0), (4, 3.0))
+    both = ("feedback_gain", "washout")[: 2 if washout else 1]
+    assert loci == tuple((i, gain, name, 10.0 * i) for i, gain in steps for name in both)
+
+
+@pytest.mark.parametrize(
+    ("damping", "bandwidth", "met", "keys"),
+    [(0.6, 7.0, True, []), (0.6, 6.0, False, []), (0.7, 7.0, True, []),
+     (0.5, 7.0, False, ["below_target"])],
+)  # fmt: skip
+@pytest.mark.parametrize("drawn", [(), ("oil",)])
+def test_a_tuning_is_met_that_keeps_its_target_and_its_demands(
+    damping, bandwidth, met, keys, drawn
+):
+    """0.6 and 1 Hz, at the points that count."""
+    recipe = Stub(gain_margin=2.0, phase_margin=0.5, bandwidth=1.0, damping_ratio=0.6, rate=500.0)
+    motions = [
+        Stub(counts=one, point=Stub(function="f"), circuit=None) for one in (True, True, False)
+    ]
+    rig = Stub(name="slide", supply=Stub(facts=dict))
+    given: Any = Stub(recipe=recipe, motions=motions, notes=(), rig=rig, cylinder="press",
+                      low=1.0, cross=2.0, curves=())  # fmt: skip
+    work = Stub(
+        law=lambda: Law(1.0, 2.0, 3e-3, 4.0), grid=np.arange(3.0), alternatives=lambda _: ()
+    )
+    numbers = iter([(0.9, 8.0, 0.4), (damping, bandwidth, 0.3), (0.1, 1.0, 0.2)])
+
+    def result(motion, *_):
+        value, reached, curve = next(numbers)
+        margins = Stub(gain_margin=2.0, phase_margin=0.6, bandwidth=reached)
+        return Stub(counts=motion.counts, damping_ratio_closed=value, margins=margins, name="it",
+                    damping_ratio_open=value, damping_ratio_held=value,
+                    curve=np.full(3, curve))  # fmt: skip
+
+    done: list[float] = []
+    with answers(gains, LawSearch=lambda *_: work, _gains_by_function={"f": 1.0}, _result=result,
+                 _curves=((), ()), robustness=Stub(parameters=drawn), functions_of=()):  # fmt: skip
+        found = gains.tune_pressure_feedback(given, None, lambda _, share: done.append(share))
+    assert (found.met, found.damping_ratio) == (met, damping) and found.tick == 2e-3
+    assert [text.key for text in found.warnings] == [
+        f"tune.{key}" for key in (*keys, *(() if drawn else ("no_draws",)))
+    ]
+    assert found.worst_curve == (0.3,) * 3
+    assert done == sorted(done) and 0.0 < done[0] and done[-1] < 1.0
+
+
+def test_a_point_is_told_without_feedback_with_the_off_side_and_at_its_gain():
+    """Of a swing of 3 rad/s, which a gain damps by a sixth of it."""
+    law = Law(1.0, 2.0, 3e-3, 4.0)
+
+    def loop(given: Law) -> Loop:
+        washed = given.washout == given.ramp_washout == 0.0
+        damping = 0.1 + 0.1 * washed + 0.2 * (given.off_gain == 0.0)
+        return loop_of([[0.0, 1.0], [-9.0, -6.0 * damping]], [0.0, 1.0], [0.0, -1.0])
+
+    point = Stub(name="it", function="extend_resistive", p_head=2e6)
+    motion: Any = Stub(loop=loop, point=point, counts=True)
+    found = gains._result(motion, law, 0.6, np.array([0.0, 1.2]))
+    assert found.natural_frequency_open == pytest.approx(3.0)
+    assert found.natural_frequency_closed == pytest.approx(3.0)
+    assert found.damping_ratio_open == pytest.approx(0.4)
+    assert found.damping_ratio_held == pytest.approx(0.1)
+    assert found.damping_ratio_closed == pytest.approx(0.2)
+    assert found.curve == pytest.approx((0.1, 0.3)) and found.gain_limit == math.inf
+    assert found.damping_ratio_plain == pytest.approx(0.3)
+    assert found.bias == pytest.approx(0.6 * 2e6 / 9.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "pressure"), [("extend_resistive", 2e6), ("retract_resistive", 5e6)]
+)
+def test_a_static_pressure_moves_the_rod_where_nothing_washes_it_out(function, pressure):
+    """ẋ = (a + K b c) x + K b p at rest."""
+    a, b, c = np.array([[-1.0, 2.0], [0.0, -3.0]]), np.array([0.5, 1.0]), np.array([0.0, -1.0])
+    point: Any = Stub(function=function, p_head=2e6, p_rod=5e6)
+    expected = -np.linalg.inv(a + 0.7 * np.outer(b, c)) @ b * 0.7 * pressure
+    assert gains._bias(loop_of(a, b, c), point, 0.7) == pytest.approx(expected[0])
+    assert math.isnan(gains._bias(loop_of(a, b, -9.0 * c), point, 0.7))
+
+
+@pytest.mark.parametrize("counts", [(True, True, True), (True, False, True)])
+def test_draws_are_of_the_least_damped_points_that_count(counts):
+    """Of the worst of each draw the quantiles, and the share that keeps the target."""
+    known = {"oil": Value(1.0, "identified", std=0.5)}
+    rig: Any = Stub(parameters=lambda: known, with_values=lambda values: values["oil"])
+    results: Any = [
+        Stub(counts=one, damping_ratio_closed=d)
+        for one, d in zip(counts, (0.3, 0.1, 0.2), strict=True)
+    ]
+    recipe = Stub(draws=5, seed=3, damping_ratio=0.6)
+    given: Any = Stub(rig=rig, recipe=recipe, motions=["first", "second", "third"])
+    table, done, asked = np.array([[0.5], [0.6], [0.8], [0.9], [0.1]]), [], []
+
+    def worst(_, drawn, motions, *__):
+        asked.append(motions)
+        return drawn
+
+    with answers(draws, draw_parameters=table, _worst_of_draw=worst):
+        found = draws.robustness(given, results, Law(0, 0, 0), {}, None, done.append)
+    assert asked[0] == (["second", "third", "first"] if counts[1] else ["third", "first"])
+    assert done == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8]) and found.draws == 5
+    assert (found.share, found.points) == (pytest.approx(0.6), len(asked[0]))
+    assert found.quantiles == pytest.approx(
+        np.quantile([0.5, 0.6, 0.8, 0.9, 0.1], [0.05, 0.5, 0.95])
+    )
+
+
+@pytest.mark.parametrize("possible", [True, False])
+def test_a_draw_is_as_damped_as_its_least_damped_point_that_it_takes_up(possible):
+    points = [
+        Stub(payload=p, function=f, x=0.1, v=v)
+        for p, f, v in (("a", "extend_resistive", 0.2), ("b", "retract_resistive", -0.3))
+    ]
+    motions: Any = [Stub(point=point) for point in points]
+    aims = []
+
+    def steady(model, circuit, function, here, index, aim):
+        aims.append((function, index, aim.speed, aim.payload, aim.low_pressure, aim.cross_drop))
+        return model, Stub(possible=possible or aim.payload == "a", payload=aim.payload)
+
+    given: Any = Stub(recipe=Stub(posture=None), maps=None, cylinder="press", low=5e5, cross=6e5)
+    given.steady = steady
+    model = Stub(layout=Stub(cylinders=["boom", "press"]))
+    loops = {
+        "a": Stub(damping_ratio=lambda gain: 0.1 * gain),
+        "b": Stub(damping_ratio=lambda gain: 0.02 * gain),
+    }
+    with answers(
+        draws,
+        model_under=model,
+        circuit_of=lambda _, at, __: Stub(cylinder=at),
+        equivalent=lambda _, at, x, __: (at, x),
+        development_model=None,
+        close=lambda _, point, *__: loops[point.payload],
+    ):
+        found = draws._worst_of_draw(
+            given, None, motions, Law(0, 0, 0), {"extend_resistive": 4.0, "retract_resistive": 5.0}
+        )
+    assert found == pytest.approx(0.1 if possible else 0.4)
+    codes = [FUNCTIONS.index(p.function) for p in points]
+    assert aims == [(codes[0], 0, 0.2, "a", 5e5, 6e5), (codes[1], 0, 0.3, "b", 5e5, 6e5)]
+
+
+def test_a_tuning_of_margins_tells_its_worst_point_and_what_it_misses():
+    """By delay; the loci stand about −1."""
+    found = [LoopMargins(2.0, 0.5, 6e-3, 30.0), LoopMargins(3.0, 0.7, 3e-3, 40.0)]
+    loci = np.array([[1.0 + 2.0j], [3.0 - 1.0j]])
+    loops_ = [
+        Stub(margins=lambda _, item=item: item, loci=lambda _: (None, loci)) for item in found
+    ]
+    points = [Stub(name=n, function="f", payload="none", x=0.1, v=0.2, paths=()) for n in "ab"]
+    gain = dict.fromkeys(arc.CHOSEN, 4.0)
+    demands = {"gain_margin": 2.0, "phase_margin": 0.6, "delay_margin": 3e-3}
+    work: Any = Stub(loops=lambda _: loops_, sensing=Sensing(1e-3, 2e-3), demands=demands, lag=0.01)
+    work.gains, work.plants = lambda _: (None, None), [Stub(point=point) for point in points]
+    work.judged = lambda budget, results: arc.Search.judged(work, budget, results)
+    rig = Stub(name="slide", supply=Stub(facts=dict, low_rail=None))
+    given: Any = Stub(rig=rig, cylinder="press")
+    with answers(arc, named_gains={"gains": gain}):
+        told = arc._result(given, work, 0.4, {0.5: "second", 0.4: "first"})  # pyright: ignore[reportArgumentType]
+    assert (told.worst, told.met, told.candidates) == ("b", False, ("first", "second"))
+    assert (told.gain_margin, told.phase_margin, told.delay_margin) == (2.0, 0.5, 2e-3)
+    (note,) = told.warnings
+    fields: Any = note.fields
+    assert fields == {"margins": "phase margin and delay margin", "point": "b"}
+    assert [p.delay_margin for p in told.points] == pytest.approx([4e-3, 2e-3])
+    assert told.locus == (((-1.0, -3.0), (-2.0, 1.0)),)
+    assert arc.Search.judged(work, 0.4, found).sum == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(("limit", "way"), [(0.6, 1.0), (math.inf, -1.0)])
+def test_a_root_locus_lies_densely_about_its_gain_and_its_limit(limit, way):
+    """s² + (0.6 ∓ K) s + 9, up to ten times the larger; shown is what swings."""
+    motion: Any = Stub(loop=lambda _: loop_of([[0.0, 1.0], [-9.0, -0.6]], [0.0, 1.0], [0.0, way]))
+    motion.point = Stub(name="it")
+    found = gains.locus(motion, Law(0.0, 0.0, 0.0), 0.3, "feedback_gain", limit)
+    name, parameter, values, real, imag, chosen, at, crossing, cross, frame = astuple(found)
+    assert (name, parameter, chosen) == ("it", "feedback_gain", 0.3)
+    assert values[0] == 0.0 and values[1] == pytest.approx(3e-4)
+    assert values[-1] == pytest.approx(6.0 if way > 0.0 else 3.0)
+    centre = [0.3, 0.6] if way > 0.0 else [0.3]
+    dense = [c * part for c in centre for part in np.linspace(0.8, 1.2, 60)]
+    assert np.isclose(np.array(values)[:, None], np.array(dense)).any(axis=0).all()
+    for k, value in enumerate(values):
+        poles = np.sort_complex(np.array(real[k]) + 1j * np.array(imag[k]))
+        roots = np.sort_complex(np.roots([1.0, 0.6 - way * value, 9.0]).astype(complex))
+        assert poles == pytest.approx(roots, abs=1e-6)
+    swing = math.sqrt(9.0 - (0.3 - 0.15 * way) ** 2)
+    assert sorted(at) == [pytest.approx((0.15 * way - 0.3, s * swing)) for s in (-1.0, 1.0)]
+    assert crossing == (0.6 if way > 0.0 else None)
+    assert sorted(cross) == (
+        [pytest.approx((0.0, s * 3.0)) for s in (-1.0, 1.0)] if way > 0.0 else []
+    )
+    assert frame == pytest.approx((-4.8, 1.2, 4.2))
+
+
+def test_a_locus_over_the_washout_is_that_of_the_washed_loop():
+    """At 2 rad/s the poles are those with a washout of 2; it goes to ten times it, or to twice the
+    swing."""
+
+    def loop(law: Law) -> Loop:
+        a = np.zeros((3, 3))
+        a[:2, :2], c = [[0.0, 1.0], [-900.0, -3.0]], np.array([0.0, -1.0, 0.0])
+        if not law.washout:
+            return loop_of(a[:2, :2], [0.0, 1.0], c[:2])
+        a[2], c[2] = [0.0, -law.washout, -law.washout], -1.0
+        return loop_of(a, [0.0, 1.0, 0.0], c)
+
+    motion: Any = Stub(loop=loop, point=Stub(name="it"))
+    for washout, top in ((2.0, 60.0), (7.0, 70.0)):
+        law = Law(washout, 0.0, 0.0)
+        found = gains.locus(motion, law, 4.0, "washout", 9.0)
+        *_, values, real, imag, chosen, at, crossing, cross, frame = astuple(found)
+        assert (chosen, crossing, cross) == (washout, None, ())
+        assert values[-1] == pytest.approx(top, rel=1e-2)
+        poles = np.sort_complex(np.array([complex(*pole) for pole in at]))
+        assert poles == pytest.approx(np.sort_complex(np.linalg.eigvals(loop(law).closed(4.0))))
+
+
+def test_a_step_of_speed_is_shown_for_ten_swings():
+    """(1 − e^(−ζωt)(cos ω't + ζω/ω' sin ω't))/9 at 3 rad/s, without feedback and with a gain."""
+    motion: Any = Stub(loop=lambda _: loop_of([[0.0, 1.0], [-9.0, -0.6]], [0.0, 1.0], [0.0, -1.0]))
+    result: Any = Stub(natural_frequency_open=3.0, name="it")
+    found = gains.step_response(motion, Law(0.0, 0.0, 0.0), result, 1.2)
+    name, t, *speeds = astuple(found)
+    t = np.array(t)
+    assert name == "it" and t[-1] == pytest.approx(20.0 * math.pi / 3.0)
+    for speed, decay in zip(speeds, (0.3, 0.9), strict=True):
+        omega = math.sqrt(9.0 - decay**2)
+        swing = np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+        assert speed == pytest.approx((1.0 - swing) / 9.0, abs=1e-6)
