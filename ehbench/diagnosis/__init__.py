@@ -36,7 +36,6 @@ __all__ = [
 
 NEAR = 0.6  # share of what the best fault explains, from which another is told too
 BESIDE = 0.3  # share of what the best leaves, that one beside it must explain
-ALIKE = 0.97  # of two that explain this nearly alike, the plainer comes first
 TRIED = 8  # faults that are simulated at the size that the slopes tell
 REFINED = 6  # of these, the size is sought further
 HALVINGS = 5  # of the steps in which it is
@@ -126,11 +125,10 @@ class _Search:
         promises = {fault: self._promise(fault, by, self.left)[0] for fault, by in slopes.items()}
         ranked = sorted(slopes, key=lambda fault: -promises[fault])
         quiet = self.now < QUIET * sum(left.size for left in self.left)
-        tried = [fault for fault in ranked[:TRIED] if promises[fault] > 0.0]
+        tried = {fault: slopes[fault] for fault in ranked[:TRIED] if promises[fault] > 0.0}
         if quiet and not any(self._counts(promises[fault], self.now) for fault in tried):
             return []
-        tried += [fault for fault in ranked[TRIED:] if fault.row.trials]
-        reached = self._best({fault: slopes[fault] for fault in tried})
+        reached = self._best(dict.fromkeys(f for f in ranked[TRIED:] if f.row.trials) | tried)
         nearest = sorted(reached, key=lambda fault: reached[fault][1])[:REFINED]
         reached |= self._refined({fault: reached[fault] for fault in nearest})
         gains = {fault: self.now - cost for fault, (_, cost, _) in reached.items()}
@@ -141,9 +139,9 @@ class _Search:
         shown = sorted(
             (fault for fault, gain in gains.items() if gain >= NEAR * best),
             key=lambda fault: (
-                (0, fault.rank, -gains[fault])
-                if gains[fault] >= ALIKE * best
-                else (1, 0, -gains[fault])
+                (1, 0, 0, -gains[fault])
+                if self._counts(best - gains[fault], self.now - gains[fault])
+                else (0, *fault.rank, -gains[fault])
             ),
         )
         results = [self._finding(fault, reached[fault][0], gains[fault]) for fault in shown]

@@ -215,7 +215,7 @@ def counts(gain: float, of: float, noise: float, independent: float) -> bool:
         noise: what noise alone makes of it.
         independent: numbers that the residuals are worth.
     """
-    if gain < MATTERS * (of - noise):
+    if gain <= max(MATTERS * (of - noise), 0.0):
         return False
     ratio = independent * math.log(of / max(of - gain, 1.0e-12 * of))
     return min(0.5 * gain, ratio) > CERTAIN

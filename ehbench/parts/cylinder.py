@@ -175,9 +175,27 @@ FAULTS = (
     ),
     Fault("volume", ("volume_head",), step=0.05, rank=5),
     Fault("volume", ("volume_rod",), step=0.05, rank=5),
-    Fault("area", ("bore",), step=0.002, low=-0.1, high=0.1, rank=5),
-    Fault("area", ("rod",), step=0.005, low=-0.1, high=0.1, rank=5),
-    Fault("area", ("area_head",), step=0.005, low=-0.2, high=0.2, rank=5),
-    Fault("area", ("area_rod",), step=0.005, low=-0.2, high=0.2, rank=5),
+    Fault("area", ("bore",), step=0.002, low=-0.1, high=0.1, trials=(-0.03, 0.03), rank=5),
+    Fault("area", ("rod",), step=0.005, low=-0.4, high=0.4, rank=5),
+    Fault("area", ("area_head",), step=0.005, low=-0.5, high=0.5, trials=(-0.3,), rank=5),
+    Fault("area", ("area_rod",), step=0.005, low=-0.5, high=0.5, trials=(0.3,), rank=5),
+    Fault(
+        "through rod",
+        ("rod",),
+        step=0.0,
+        trials=(1.0,),
+        rank=5,
+        table="through_rod",
+        adds={"through_rod": True},
+        moved=("through_rod",),
+    ),
     Fault("bulk modulus", ("bulk_modulus",), trials=(-0.3, -0.15, 0.15, 0.4), rank=2),
+)
+# of pins and racks, by which levers and volumes go
+LINKAGE = (
+    *(
+        Fault("linkage", (key,), step=0.005, low=-0.2, high=0.2, rank=5)
+        for key in ("l_a", "l_b", "retracted_length", "radius")
+    ),
+    Fault("linkage", ("phase",), "unit", step=0.005, low=-0.3, high=0.3, rank=5),
 )

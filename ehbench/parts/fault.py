@@ -60,7 +60,7 @@ class Fault:
     start: Amount | None = None
     upper: Amount | None = None
     table: str = ""
-    adds: Mapping[str, Amount | str] = field(default_factory=dict)
+    adds: Mapping[str, Amount | str | bool] = field(default_factory=dict)
     moved: tuple[str, ...] = ()
     neutral: Amount = Amount((0.0,), "unit")
     joined: bool = False

@@ -122,6 +122,18 @@ FAULTS = (
     Fault("load margin", ("load_margin",), step=0.05, rank=0, wide=True),
     Fault("load lag", ("load_lag",), step=0.1, rank=0, wide=True),
     Fault(
+        "load sensing",
+        ("load_margin",),
+        "pressure",
+        step=0.1,
+        low=0.0,
+        high=0.9,
+        rank=4,
+        table="load_sensing",
+        adds={"load_margin": Amount((0.1,), "pressure", "Pa"), "load_lag": "50 ms"},
+        wide=True,
+    ),
+    Fault(
         "accumulator",
         ("gas_volume", "precharge"),
         "swept",

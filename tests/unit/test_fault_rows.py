@@ -7,7 +7,7 @@ import pytest
 
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
-from tests.shared import shipped
+from tests.shared import shipped, slide
 
 T = np.arange(600) * 1e-3
 LEVELS = np.repeat([0.0, 1.0, 3.0, 10.0, -1.0, -3.0, -10.0, 5.0, -5.0, 0.0, 2.0, -2.0], 50)
@@ -101,3 +101,15 @@ def test_a_spring_on_the_rod_that_nobody_wrote_down():
     asked = hypotheses(row.altered(rig), ["press"], [], [record])
     kinds = {(item.kind, item.about) for item in asked if "spring" in item.kind}
     assert kinds == {("spring", "press.force.stiffness"), ("spring", "press.force.free_length")}
+
+
+def test_a_rod_through_both_ends_that_nobody_wrote_down():
+    """Asked of a bore and a rod, and gone where the rig file has it."""
+    rows, rig = rows_of("slide_servo", ("x",), ("press.servo",)), shipped("slide_servo")
+    row = rows["through rod", "press"]
+    head, rod = row.rig(rig, 1.0).cylinder[0].areas()
+    assert head == rod == rig.cylinder[0].areas()[1]
+    assert row.rig_lines(rig) == ("# in [[cylinder]] press:\nthrough_rod = true",)
+    log = Record(T, {"press.servo.command": LEVELS})
+    written = hypotheses(slide(through_rod=True), ["press"], [], [log])
+    assert all(item.kind != "through rod" for item in written)

@@ -56,6 +56,29 @@ def test_a_built_fault_is_named_first_or_second(name, kind):
     assert found.follows, "and its residuals follow something"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "kind", "size"),
+    [
+        ("slide_servo", "through rod", 1.0),
+        ("slide_servo", "load sensing", 0.15),
+        ("slide_servo", "overlap", -0.02),
+        ("slide_servo", "area", -0.03),
+        ("slide_servo", "load", 0.12),
+        ("crane_proportional", "linkage", 0.04),
+    ],
+)
+def test_what_a_rig_file_has_wrong_or_lacks_is_named_first(name, kind, size):
+    rig, kinds = shipped(name), ("quick steps",)
+    sound = clean_log(name, rig, *kinds, 1.2)
+    rows = hypotheses(rig, [rig.cylinder[0].name], [], [sound])
+    row = next(row for row in rows if row.kind == kind)
+    found = asked(name, rig, Fault(kind, "", row.rig(rig, size)), 7, kinds, 1.2).findings
+    first = next(item for item in found if item.kind != "pins")  # which stroke and angle tell
+    assert (first.kind, first.about) == (kind, row.about)
+    assert first.size == pytest.approx(size, rel=0.1)
+
+
 @pytest.mark.parametrize("name", ["slide_servo", "crane_proportional", "thesis_arm"])
 def test_a_sound_model_has_no_findings(name):
     rig = shipped(name)
@@ -352,8 +375,9 @@ def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_i
     fixed = Number(here=0.0, unit=0.0, sure="assumed", **known)
     row = Row("gain", low=-3.0, high=4.0, step=0.02, rank=3)
     both, one = Hypothesis(row, "a", (assumed, sure)), Hypothesis(row, "a", (sure, fixed))
-    assert both.bounds == (-2.0, 4.0) and both.rank == 2
-    assert Hypothesis(row, "a", (sure,)).rank == 3
+    assert both.bounds == (-2.0, 4.0) and both.rank == (0, 2)
+    assert Hypothesis(row, "a", (sure,)).rank == (5, 3) and Hypothesis(row, "a").rank == (3, 3)
+    assert Hypothesis(row, "a", (assumed,), edits=((("oil",), "", {}, {}),)).rank == (3, 3)
     assert (both.certainty, Hypothesis(row, "a", (sure, fixed)).certainty) == (0, 5)
     assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.6 / (1.96 * 0.5), rel=1e-4)
     assert Hypothesis(row, "a", (assumed,)).beyond(1.0) == 0.0
@@ -417,7 +441,7 @@ def test_rows_of_the_supply_are_those_that_a_replay_shows():
         (offset, *_) = [row.cylinder for row in rows if row.about == "p_supply"] or ["-"]
         return of_supply, offset
 
-    line = {"pump", "supply line", "accumulator"}
+    line = {"pump", "supply line", "accumulator", "load sensing"}
     assert kinds({}) == ({"supply", "tank", *line}, "-")
     assert kinds({}, "p_supply") == ({"tank", *line}, "")  # its sensor concerns all cylinders
     assert kinds({}, "p_supply", "p_tank") == (line, "")
@@ -702,10 +726,13 @@ def searched(left, slopes, monkeypatch):
 
 
 def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_third(monkeypatch):
-    """Gains of 900 cos²: 1 and 0.98 are alike, 0.9 is near, 0.5 is not; 400 lie beside these."""
+    """Gains of 900 cos²: 1 and 0.98 leave 400 and 418, alike, 0.9 is near, 0.5 is not; 400 lie
+    beside these. Where no more lies there 0.98 leaves much more. A number less sure comes first."""
 
-    def fault(name, rank, kind="gain"):
-        return Hypothesis(Row(kind, low=-9.0, high=9.0, rank=rank), name)
+    def fault(name, rank, kind="gain", sure=""):
+        of = ("bulk_modulus", 20.0, 1.0, (1.0,), None, sure)
+        numbers = (Number(*of),) if sure else ()
+        return Hypothesis(Row(kind, low=-9.0, high=9.0, rank=rank), name, numbers)
 
     def along(share):
         return 10.0 * (math.sqrt(share) * U + math.sqrt(1.0 - share) * V)
@@ -723,6 +750,12 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
     sizes = [-3.0 * math.sqrt(0.98), -3.0, -4.0, -3.0 * math.sqrt(0.9)]
     assert [size for _, size, _ in found] == pytest.approx(sizes)
     assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, 400.0, 810.0])
+    found, _ = searched(90.0 * U, {row: 10.0 * by for row, by in slopes.items()}, monkeypatch)
+    assert [name for name, _, _ in found][:2] == ["first", "plainer"]
+    rows = fault("weighed", 1, sure="weighed"), fault("assumed", 9, sure="assumed")
+    slopes = {fault("sensor", 1): along(0.99), rows[0]: along(1.0), rows[1]: along(0.98)}
+    found, _ = searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
+    assert [name for name, _, _ in found] == ["assumed", "sensor"]
 
 
 def test_quiet_residuals_are_asked_by_slopes_alone(monkeypatch):

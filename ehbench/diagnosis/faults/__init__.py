@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.rig import Cylinder, Joint, LinkLoad, Rig, Slide
+from ehbench.config.rig import Cylinder, Joint, LinkLoad, Pins, Rack, Rig, Slide
 from ehbench.config.rig.cylinder import Force
 from ehbench.config.rig.supply import Accumulator, Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
@@ -66,6 +66,8 @@ TABLE: dict[type, tuple[Fault, ...]] = {
     Force: load.FAULTS,
     LinkLoad: load.PAYLOAD,
     Cylinder: (*friction.FAULTS, *cylinder.FAULTS, *mount.FAULTS, *sway.FAULTS, load.SPRING),
+    Pins: cylinder.LINKAGE,
+    Rack: cylinder.LINKAGE,
     Line: line.FAULTS,
     Valve: (*valve.FAULTS, *valve.SPOOL),
     DynamicsTable: (*second_order.FAULTS, *first_order.FAULTS),
@@ -214,11 +216,11 @@ class _Rows:
         if not self._applies(fault, prefix, part, scales):
             return None
         adds = bool(fault.adds)
-        present = [name for name in names if name in self.known]
-        if not adds and len(present) < len(names):
+        given = [name.rpartition(".")[2] in fault.adds or name in self.known for name in names]
+        if not all(given):
             return None
         there = getattr(part, fault.table) if adds and fault.table else None
-        if adds and (scales.empty or there not in (None, ())):
+        if adds and (scales.empty or there):
             return None
         numbers = tuple(
             Number.of(fault, key, name, self.known.get(name), scales)

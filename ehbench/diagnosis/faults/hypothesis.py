@@ -49,7 +49,7 @@ class Number:
         if fault.moved and key not in fault.moved:
             unit = 0.0
             here = scales.of(added) if isinstance(added, Amount) else here
-        if added is not None and not isinstance(added, str):
+        if isinstance(added, Amount):
             starts = tuple(scales.of(added, k) for k in range(len(added.factors)))
         else:
             starts = (max(here, scales.of(fault.start)) if fault.start else here,)
@@ -99,9 +99,13 @@ class Hypothesis:
         return f"{self.kind} of {self.about}"
 
     @property
-    def rank(self) -> int:
-        """Of two that explain alike the one of lower rank comes first: several alike before one."""
-        return self.row.rank - (len(self.numbers) > 1)
+    def rank(self) -> tuple[int, int]:
+        """Of two that explain alike the one of lower rank comes first: of the less sure number,
+        sensors and what the rig file lacks being as sure as a data sheet; several alike before one.
+        """
+        known = self.numbers and not self.edits
+        sure = self.certainty if known else CERTAINTY.index("datasheet")
+        return sure, self.row.rank - (len(self.numbers) > 1)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -351,7 +355,7 @@ def _toml(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
     if not isinstance(value, str):
-        return f"{value:.5g}"
+        return str(value).lower() if isinstance(value, bool) else f"{value:.5g}"
     number, _, unit = value.partition(" ")
     try:
         return f'"{float(number):.5g} {unit}"' if math.isfinite(float(number)) else f'"{value}"'

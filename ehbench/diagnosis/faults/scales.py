@@ -57,9 +57,9 @@ class Scales:
         """An amount [SI], by its first factor or another."""
         return amount.factors[min(which, len(amount.factors) - 1)] * self[amount.scale]
 
-    def written(self, amount: Amount | str) -> Any:
+    def written(self, amount: Amount | str | bool) -> Any:
         """An amount as a rig file has it, with its bounds."""
-        if isinstance(amount, str):
+        if not isinstance(amount, Amount):
             return amount
         value = self.of(amount)
         if not amount.unit:

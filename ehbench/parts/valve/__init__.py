@@ -32,8 +32,9 @@ FAULTS = (
         joined=True,
     ),
 )
-# of a spool, whose edges share them
+# of a spool, whose edges share them; its middle stands at rest as long as its overlap alone moves
 _MIDDLE = Amount((0.01,), "reach", "V", (-50.0, 50.0))
+_NULL = Amount((1.0e-4,), "reach", "V", (-5.0e3, 5.0e3))
 SPOOL = (
     Fault("overlap", ("overlap",), unit="command", step=0.01, low=-0.4, high=0.4, rank=4),
     Fault(
@@ -43,9 +44,10 @@ SPOOL = (
         step=0.01,
         low=-0.4,
         high=0.4,
+        trials=(-0.02,),
         rank=4,
         table="overlap",
-        adds={"overlap": _MIDDLE, "null": _MIDDLE},
+        adds={"overlap": _MIDDLE, "null": _NULL},
         moved=("overlap",),
     ),
 )
