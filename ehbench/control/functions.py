@@ -77,7 +77,7 @@ CROSS = np.array(
 # functions whose off-side, the rod end, stands at Δp3 above the head end
 RAISED = (DIRECTION == 1) & (METERED == HEAD) & (CROSS == ROD_HEAD)
 # functions for a circuit without others of their direction: the off-side stands open to the tank
-VENTED = PATH_FLOWS[:, TANK_HEAD:].any(axis=2).any(axis=1)
+VENTED = np.array([shares[TANK_HEAD:].any() for shares in PATH_FLOWS])
 # functions for a circuit that has lost every other one of their direction and load
 SPARE = (RETRACT_OVERRUNNING_THROUGH_ROD, EXTEND_RESISTIVE_FED_AT_ROD)
 
