@@ -6,7 +6,6 @@ import codecs
 import errno
 import gc
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -628,13 +627,13 @@ _WARMING: list[subprocess.Popen] = []  # it ends by itself, at the latest soon a
 
 def _say_first(quiet: bool) -> None:
     """Say why a first run takes longer than the next, and share its work."""
-    from ehbench.runtime.compiled import PACKAGE, is_cold
+    from ehbench.runtime.compiled import KEPT, is_cold
 
     if not is_cold():
         return
     if not quiet:
-        print(message("app.compiling"), file=sys.stderr)
-    if cores() > 1 and os.access(PACKAGE, os.W_OK):  # another core, one cache
+        print(message("app.compiling" if KEPT else "app.compiling_again"), file=sys.stderr)
+    if cores() > 1 and KEPT:  # another core, one cache
         ahead = [sys.executable, "-P", "-m", "ehbench.app.warm", "--ahead"]
         null = subprocess.DEVNULL
         _WARMING.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))

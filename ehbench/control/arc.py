@@ -30,6 +30,7 @@ from ehbench.control.functions import (
     ROD_TANK,
     SUPPLY_HEAD,
     SUPPLY_ROD,
+    VENTED,
     capacity,
     metering_drop,
     select,
@@ -721,6 +722,8 @@ def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
     if state.metered != metered:
         state.metered = metered
         state.set_point = p.rod if metered == HEAD else p.head
+    if VENTED[choice.function]:  # nothing holds it but the tank
+        return 0.0
     target = p.tank + gains.low_pressure + state.raised
     if RAISED[choice.function]:
         target = (choice.load + gains.rules.cross_drop * circuit.area_head) / (

@@ -1,7 +1,7 @@
 """Working functions of a cylinder: which metering edges move it, chosen from desired speed,
 load and pressures (thesis 3.1, 3.2).
 
-A circuit is seen as six directed paths between supply, tank, head and rod end. A working function
+A circuit is seen as eight directed paths between supply, tank, head and rod end. A working function
 uses two of them; its chamber flows, ``flow_head`` Q1 into the head end and ``flow_rod`` Q2 out of
 the rod end (both have the sign of the speed: Q1 = A1 v, Q2 = A2 v at steady speed), are shared out
 over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the motion through the path
@@ -37,8 +37,12 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
-PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
+PATHS = (
+    *("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head"),
+    *("tank_head", "tank_rod"),
+)
 SUPPLY_HEAD, HEAD_TANK, SUPPLY_ROD, ROD_TANK, HEAD_ROD, ROD_HEAD = range(6)
+TANK_HEAD, TANK_ROD = 6, 7  # of a chamber that draws its oil from the tank, by an open edge
 NONE, HEAD, ROD = 0, 1, 2
 
 # direction, load along the motion, chamber that sets the motion, its path, then (path, share of Q1,
@@ -54,6 +58,8 @@ _TABLE = (
     (1, 0, HEAD, SUPPLY_HEAD, ((SUPPLY_HEAD, 1, -1), (ROD_HEAD, 0, 1))),
     (-1, 1, HEAD, HEAD_ROD, ((HEAD_ROD, -1, 0), (ROD_TANK, -1, 1))),
     (1, 0, HEAD, ROD_HEAD, ((ROD_HEAD, 1, 0), (SUPPLY_ROD, 1, -1))),
+    (-1, 1, HEAD, HEAD_TANK, ((TANK_ROD, 0, -1), (HEAD_TANK, -1, 0))),
+    (1, 1, ROD, ROD_TANK, ((TANK_HEAD, 1, 0), (ROD_TANK, 0, 1))),
 )
 DIRECTION = np.array([row[0] for row in _TABLE])
 OVERRUNNING = np.array([row[1] for row in _TABLE])
@@ -70,6 +76,8 @@ CROSS = np.array(
 
 # functions whose off-side, the rod end, stands at Δp3 above the head end
 RAISED = (DIRECTION == 1) & (METERED == HEAD) & (CROSS == ROD_HEAD)
+# functions for a circuit without others of their direction: the off-side stands open to the tank
+VENTED = np.array([shares[TANK_HEAD:].any() for shares in PATH_FLOWS])
 # functions for a circuit that has lost every other one of their direction and load
 SPARE = (RETRACT_OVERRUNNING_THROUGH_ROD, EXTEND_RESISTIVE_FED_AT_ROD)
 
@@ -121,7 +129,7 @@ class Circuit(NamedTuple):
 
     ``edges, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of every
     valve's command; ``first, count`` where this cylinder's edges stand in ``edges``. ``paths``
-    [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1 where
+    [8] is the edge that serves each path, −1 for none, ``along`` [8] its direction: +1 where
     the edge points along the path, else −1. ``able`` [functions] is 1 for each working function
     that the circuit can do. ``domain``, ``domain_at`` [edges, 2]: the validity domain of each
     map, see `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of
@@ -177,6 +185,8 @@ def path_drop(path, p, circuit):
         return supply_pressure(p.rod, p, circuit) - p.rod
     if path == ROD_TANK:
         return p.rod - p.tank
+    if path >= TANK_HEAD:
+        return p.tank - (p.head if path == TANK_HEAD else p.rod)
     return p.head - p.rod if path == HEAD_ROD else p.rod - p.head
 
 
@@ -192,8 +202,11 @@ def metering_drop(path, p, circuit):
 
 @kernel
 def capacity(circuit, path, drop):
-    """Largest flow [m³/s] of a path at a drop [Pa] along it; 0 without an edge."""
+    """Largest flow [m³/s] of a path at a drop [Pa] along it; 0 without an edge. From
+    the tank a chamber draws what it needs."""
     edge = circuit.paths[path]
+    if path >= TANK_HEAD and edge >= 0:
+        return math.inf
     if edge < 0 or drop <= 0.0:
         return 0.0
     along = circuit.along[path]
@@ -516,7 +529,8 @@ def circuit(
     Of several edges on one path the one that carries most at ``probe_drop`` serves it. A function
     is able where every path has an edge and its valves open no other edge of any cylinder and are
     asked for one sign only: four edges on one spool are able of the four without regeneration. It
-    is able of a `SPARE` function where it has no other for that direction and load.
+    is able of a `SPARE` function where it has no other for that direction and load, of a `VENTED`
+    one where it has none for that direction.
 
     Args:
         cylinder: its number; its head end is node 2 + 2·cylinder, its rod end the next one.
@@ -526,11 +540,11 @@ def circuit(
         supply: the plant's, by default one of constant pressure.
 
     Raises:
-        InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
+        InputError: no valve's edge touches it, a pump does, or an edge lacks its map.
     """
     lowest, highest = np.ascontiguousarray(ranges.T, float)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
-    touching = _edges_at(edges, cylinder, (head, rod))
+    touching, beside = _edges_at(edges, cylinder, (head, rod))
     domain, domain_at = _domains(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
@@ -553,33 +567,43 @@ def circuit(
         rows_of(SUPPLY, supply),
         np.tile([1.0, 0.0], (int(touching[-1] - touching[0] + 1), 1)),
     )
-    ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
+    ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head), (1, head), (1, rod))
     for path, between in enumerate(ends):
-        paths[path], along[path] = _serving(whole, touching, between)
+        drain = paths[{TANK_HEAD: ROD_TANK, TANK_ROD: HEAD_TANK}.get(path, path)]
+        serving = [*touching, *beside] if path >= TANK_HEAD else [*touching]
+        paths[path], along[path] = _serving(whole, serving, between, drain)
     able[:] = _able(paths, edges)
     return whole
 
 
-def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.ndarray:
-    """Numbers of the edges that touch some nodes.
+def _edges_at(
+    edges: np.recarray, cylinder: int, nodes: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the edges that touch some nodes: those with a command, those without.
 
     Raises:
-        InputError: none does, or one is a pump.
+        InputError: none has a command, or one is a pump.
     """
-    touching = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
-    if not touching.size:
-        raise InputError(message("control.no_edge", cylinder=cylinder))
+    touching = np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes)
     if (edges.law[touching] == PUMP).any():
         raise InputError(message("control.pump_edge"))
-    return touching
+    commanded, beside = (
+        np.flatnonzero(touching & has) for has in (edges.valve >= 0, edges.valve < 0)
+    )
+    if not commanded.size:
+        raise InputError(message("control.no_edge", cylinder=cylinder))
+    return commanded, beside
 
 
-def _serving(circuit: Circuit, touching: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
-    """(edge that carries most between two nodes at ``probe_drop``, its direction); −1 for none."""
-    serving, along, maximum = -1, 1.0, 0.0
+def _serving(
+    circuit: Circuit, touching: Sequence[int], between: tuple[int, int], drain: int
+) -> tuple[int, float]:
+    """(edge that carries most between two nodes at ``probe_drop``, its direction); −1 for none. One
+    that the command of edge ``drain`` opens goes first, one that it shuts last."""
+    serving, along, best = -1, 1.0, (0, 0.0)
     edges = circuit.edges
     ends = list(zip(edges.from_node.tolist(), edges.to_node.tolist(), strict=True))
-    for edge in touching.tolist():
+    for edge in touching:
         forward = ends[edge] == between
         if not forward and (ends[edge] != between[::-1] or edges.blocked[edge] == 1):
             continue
@@ -588,20 +612,22 @@ def _serving(circuit: Circuit, touching: np.ndarray, between: tuple[int, int]) -
         drop = drop + preload(edges[edge]) if forward else -drop
         opening = widest(circuit, edge, drop)
         flow = way * edge_flow(drop, opening, edges[edge], circuit.maps)
-        if flow > maximum:
-            serving, along, maximum = edge, way, flow
+        beside = drain < 0 or edges.valve[edge] != edges.valve[drain]
+        rank = 1 if beside else (2 if edges.sign[edge] == edges.sign[drain] else 0)
+        if flow > 0.0 and (rank, flow) > best:
+            serving, along, best = edge, way, (rank, flow)
     return serving, along
 
 
 def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
     """Which functions have an edge on every path whose command opens no other; a spare one only
-    where no plain one serves."""
+    where no plain one serves, a vented one only where no other moves that way."""
     touching = ((edges.from_node >= 2) | (edges.to_node >= 2)).tolist()
     commands = list(zip(edges.valve.tolist(), edges.sign.tolist(), strict=True))
     able = []
     for function in range(len(FUNCTIONS)):
         chosen = paths[PATH_FLOWS[function].any(axis=1)].tolist()
-        opened = {commands[e] for e in chosen if e >= 0}
+        opened = {commands[e] for e in chosen if e >= 0 and commands[e][0] >= 0}
         able.append(
             min(chosen, default=0) >= 0
             and len({valve for valve, _ in opened}) == len(opened)
@@ -612,10 +638,14 @@ def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
         )
     kinds = list(zip(DIRECTION.tolist(), OVERRUNNING.tolist(), strict=True))
     plain = {kinds[f] for f in range(1, EXTEND_RESISTIVE_REGENERATION) if able[f]}
-    return [item and not (f in SPARE and kinds[f] in plain) for f, item in enumerate(able)]
+    ways = {kinds[f][0] for f, item in enumerate(able) if item and not VENTED[f]}
+    return [
+        item and not (kinds[f][0] in ways if VENTED[f] else f in SPARE and kinds[f] in plain)
+        for f, item in enumerate(able)
+    ]
 
 
-def able_functions(circuit: Circuit, lost: int = -1) -> list[bool]:
+def able_functions(circuit: Circuit, lost: int) -> list[bool]:
     """Which working functions a circuit can do without the valve of number ``lost``."""
     paths = circuit.paths.copy()
     paths[(paths >= 0) & (circuit.edges.valve[paths] == lost)] = -1
@@ -655,10 +685,11 @@ def _plays(touching: np.ndarray, measured: Sequence | None) -> np.ndarray:
 
 
 def coupled(circuit: Circuit, function: int) -> bool:
-    """True where one command serves all edges of a working function, as on a spool."""
+    """True where one command meters all edges of a working function, as on a spool."""
     chosen = circuit.paths[PATH_FLOWS[function].any(axis=1)]
     return (
         circuit.able[function] == 1
         and chosen.size > 1
+        and not VENTED[function]
         and bool((circuit.edges.valve[chosen] == circuit.edges.valve[chosen[0]]).all())
     )

@@ -14,6 +14,7 @@ from ehbench.control.functions import (
     METERING,
     PATH_FLOWS,
     PATHS,
+    TANK_HEAD,
     Circuit,
     capacity,
     metering_drop,
@@ -78,6 +79,8 @@ def edge_order(circuit, path, flow, drop, floor):
         return 0.0, 0
     if flow < 0.0:
         return 0.0, AGAINST
+    if path >= TANK_HEAD:
+        return widest(circuit, edge, circuit.along[path] * max(drop, floor)), 0
     if drop <= -floor:
         return 0.0, REVERSED
     limits, along, sign = 0, circuit.along[path], circuit.edges[edge].sign
@@ -144,6 +147,8 @@ def allocate(function, required, p, floor, circuit, command, flows, limits):
         drop = metering_drop(path, p, circuit)
         order, bits = edge_order(circuit, path, flow, drop, floor)
         valve = circuit.edges[edge].valve
+        if valve < 0:  # a check valve opens by itself
+            continue
         if turn == 0:
             decided = valve
             command[valve] = order

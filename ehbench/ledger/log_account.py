@@ -299,6 +299,9 @@ def _effects(
         coarse = account.energies(model, _at(readings, retained), states[retained], power[retained])
         effects["sampling"] = (coarse - base) / 3.0
     scatter = _noise(account, model, readings, accuracy.draws) - base
+    for row, bias, energy in zip(account.sheet.rows, scatter.mean(axis=0), base):
+        if row[0].endswith(".damping") and abs(bias) > accuracy.flow * abs(energy) > 0.0:
+            notes.append(message("ledger.noisy_speed", row=row[0], share=abs(bias / energy)))
     effects["noise of the sensors"] = np.sqrt(
         scatter.var(axis=0, ddof=1) + scatter.mean(axis=0) ** 2
     )

@@ -132,7 +132,12 @@ def noise_of(values: np.ndarray) -> float:
         return 0.0
     bend = np.abs(np.diff(values, 2))
     bend = np.minimum(bend, np.quantile(bend, 0.9))
+    least = least_step(values) / math.sqrt(12.0)
+    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), least)
+
+
+def least_step(values: np.ndarray) -> float:
+    """The least change of a reading from sample to sample: a coarse sensor's count; 0 for none."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > ROUNDING * max(float(np.abs(values).max()), ROUNDING)]
-    minimum = float(steps.min()) if steps.size else 0.0
-    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), minimum / math.sqrt(12.0))
+    return float(steps.min()) if steps.size else 0.0

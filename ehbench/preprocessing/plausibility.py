@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import permutations
 
@@ -16,6 +16,7 @@ from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.rates import is_bad, range_of
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
+from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
 from ehbench.signals.series import white_noise
@@ -89,6 +90,30 @@ def replay_notes(name: str, record: Record, model: Model) -> Iterator[Message]:
         return
     yield message("preprocessing.motion_replayed", channels=channels)
     yield from _coarse(record, model)
+
+
+def begins_elsewhere(record: Record, model: Model, rest: int) -> Iterator[Message]:
+    """Notes on channels that an FMU whose ``start`` does not set them begins elsewhere than the
+    ``rest`` samples of a log."""
+    if not isinstance(model, FmuModel):
+        return
+    least = {channel: y[:LEAST_SAMPLES] for channel, y in record.channels.items()}
+    part = replace(record, t=record.t[:LEAST_SAMPLES], channels=least)
+    try:
+        first = model.replay(part, start=model.rest_start(record, rest))
+    except EhbenchError:  # which ends what the log is for
+        return
+    for channel in model.binding.names["channels"]:
+        if channel not in record or model.starts(channel):
+            continue
+        seen, begins = float(np.mean(record[channel][: max(rest, 1)])), float(first[channel][0])
+        noise, spread = white_noise(record[channel]), float(np.std(record[channel]))
+        if abs(begins - seen) > max(SETTINGS.noises * noise, SETTINGS.worth * spread):
+            ends = {
+                "begins": model.rig.shown(channel, begins),
+                "seen": model.rig.shown(channel, seen),
+            }
+            yield message("preprocessing.begins_elsewhere", channel=channel, **ends)
 
 
 def _coarse(record: Record, model: Model) -> Iterator[Message]:

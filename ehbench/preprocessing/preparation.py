@@ -18,6 +18,7 @@ from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.preprocessing.plausibility import (
     LEAST_SAMPLES,
+    begins_elsewhere,
     foreign_channels,
     moving_at_first,
     notes_on_channels,
@@ -97,6 +98,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
     begun += [message("preprocessing.starts_moving", cylinder=name) for name in moving]
     refuse_pressures(name, record, model, rest, still=not begun)
     notes += [*begun, *notes_on_channels(record, model), *replay_notes(name, record, model)]
+    notes += begins_elsewhere(record, model, rest)
     return record, tuple(notes)
 
 

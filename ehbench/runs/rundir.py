@@ -186,7 +186,8 @@ def open_run(
     seeds: Mapping[str, int] | None = None,
     versions: Versions | None = None,
 ) -> Iterator[Run]:
-    """A ``Run`` whose folder becomes ``final`` when the block ends well; otherwise nothing stays.
+    """A ``Run`` whose folder becomes ``final`` when the block ends well; otherwise nothing stays
+    but what it recorded of a machine.
 
     An earlier run there is replaced, but only where its files are as it wrote them, and never
     where it recorded a machine.
@@ -210,11 +211,12 @@ def open_run(
         except (OSError, ValueError) as error:
             raise _no_place(final, error) from None
         lock = _lock(scratch)
-        yield run
-        run.save()
-        places = {"recipe": recipe.resolve(), "inputs": [path.resolve() for _, path in inputs]}
-        write_json(scratch / "volatile.json", {**_volatile(began), **places})
-        run.left_over += _put(scratch, final)
+        with _recording_kept(run):
+            yield run
+            run.save()
+            places = {"recipe": recipe.resolve(), "inputs": [path.resolve() for _, path in inputs]}
+            write_json(scratch / "volatile.json", {**_volatile(began), **places})
+            run.left_over += _put(scratch, final)
     except OSError as error:
         if error.errno not in FULL:
             raise
@@ -234,6 +236,25 @@ def open_run(
                     folder.rmdir()
         if lock is not None:
             os.close(lock)
+
+
+@contextmanager
+def _recording_kept(run: Run) -> Iterator[None]:
+    """A block in which a run that recorded a machine ends in a folder beside its own where that
+    has become occupied, and leaves its log where anything else fails."""
+    try:
+        yield
+    except BaseException as error:
+        if "://" not in str(run.facts.get("on")):  # the address of a machine
+            raise
+        with unbroken():
+            if isinstance(error, InputError) and (run.path / "volatile.json").is_file():
+                taken, run.final = run.final, _unused(run.final)
+                run.left_over += (message("runs.beside", place=taken), *_put(run.path, run.final))
+                return
+            for note in salvage(run.path):
+                error.add_note(note)
+        raise
 
 
 def _record(

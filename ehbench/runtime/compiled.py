@@ -4,10 +4,14 @@ for loops that allocate, one cache for their code. It uses numba through its pub
 
 from __future__ import annotations
 
+import atexit
 import gc
 import hashlib
+import os
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property, update_wrapper
 from itertools import repeat
 from pathlib import Path
@@ -38,16 +42,28 @@ _MARKS = (
 def _cache_folder() -> Path:
     """A cache for these very sources: numba looks only at a function's own file, and would keep
     what it inlined of others.
+
+    It lies beside the package, or where that cannot be written, where numba was told, or at the
+    user's home; else it is gone with this process.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sources(PACKAGE, ".py"):
         content = path.read_bytes()
         if any(mark in content for mark in _MARKS):
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + content)
-    return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
+    home = os.path.expanduser("~/.cache/ehbench")
+    for place in filter(os.path.isabs, (PACKAGE / "__pycache__", _SETTINGS.CACHE_DIR, home)):
+        with suppress(OSError):
+            os.makedirs(place, exist_ok=True)
+            if os.access(place, os.W_OK):
+                return Path(place, f"kernels_{digest.hexdigest()[:12]}")
+    folder = tempfile.mkdtemp(prefix="ehbench_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 FOLDER = _cache_folder()
+KEPT = FOLDER.name.startswith("kernels_")  # for the next process
 
 
 def is_cold() -> bool:

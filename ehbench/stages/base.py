@@ -268,7 +268,7 @@ class Stage(Checked[R], Generic[R, P]):
                 progress("drawing figures", 0.95)
             run.save()
             draw(run.path)
-        return Outcome(final, work.code, (*notes, *work.here, *run.left_over))
+        return Outcome(run.final, work.code, (*notes, *work.here, *run.left_over))
 
 
 def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:

@@ -89,6 +89,16 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         return [first | also, *others]
 
     def work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
+        try:
+            return self._work(prepared, folder, progress)
+        except BaseException as error:
+            if prepared.recipe.on not in PLACES:  # a machine moved, perhaps: its log stays
+                with unbroken():
+                    for note in rundir.salvage(folder):
+                        error.add_note(note)
+            raise
+
+    def _work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
         from ehbench import trial
         from ehbench.live.view import View
         from ehbench.machines.paced import PacedMachine
@@ -102,13 +112,7 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
             else:
                 from ehbench.links.arming import run_remote
 
-                try:
-                    remote = run_remote(ready, on, prepared.ask, log, progress, view, view)
-                except BaseException as error:  # a machine moved, perhaps: its log stays
-                    with unbroken():
-                        for note in rundir.salvage(folder):
-                            error.add_note(note)
-                    raise
+                remote = run_remote(ready, on, prepared.ask, log, progress, view, view)
                 result, late = remote.result, remote.warnings
                 more = {"link": remote.link, "dry_run": remote.dry_run}
         write_rig(folder, state.rig, state.flow_maps)

@@ -21,6 +21,7 @@ from ehbench.config.recipe.trial import Controller as ChosenController
 from ehbench.config.rig import Rig
 from ehbench.control.functions import (
     ALL_RULES,
+    DIRECTION,
     RULE_NAMES,
     Circuit,
     default_pressure,
@@ -30,7 +31,7 @@ from ehbench.control.law import Controller, Law, late_of
 from ehbench.control.monitor import monitor_of
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
-from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
+from ehbench.control.trajectory import SHAPING_NAMES, V, pack_shaping
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.sample import sample_size
 from ehbench.plant.design_point import circuit_of, design_point_of
@@ -253,6 +254,11 @@ def compiled(
         rules = pack_rules(
             design.circuit.area_rod, point.supply_pressure, low_pressure=low, **given_rules
         )
+    for way, word in ((1, "extend"), (-1, "retract")):
+        moves = (way * references[:, V] > rules.speed_start).any()
+        if moves and not design.circuit.able[way == DIRECTION].any():
+            text = message("trial.no_function", cylinder=design.cylinder, direction=word)
+            raise InputError(text, **recipe.at("motion"))
     with located(recipe, *chosen.where, "shaping"):
         shaping = pack_shaping(**given_shaping)
     _refuse_without(recipe, law, gains)

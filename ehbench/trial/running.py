@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -13,8 +13,10 @@ import numpy as np
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
+from ehbench.control.arc import ARC
 from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
+from ehbench.ledger.readings import least_step
 from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.plant.build import links_of
 from ehbench.plant.model import Start
@@ -288,6 +290,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
                 saturated = met.astype(int) & SATURATED > 0
                 known["short"] = short_measures(record.t[:rows], v, desired, saturated)
             warnings += _trial_warnings(known, prepared.rig, item.cylinder)
+            warnings += _coarse_stroke(record, known, prepared.rig, item.cylinder)
             code = record.channels.get(f"{item.cylinder}.valve_fault", np.zeros(1))
             if code.any():
                 known["valve_fault"] = fault = valve_fault(item.design, record.t, code)
@@ -351,6 +354,17 @@ def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> lis
         for word in ("stalled", "unable")
         if (share := shares.get(word, 0.0)) > 0.0
     ]
+
+
+def _coarse_stroke(
+    record: Record, known: Mapping[str, Any], rig: Rig, cylinder: str
+) -> Iterator[Message]:
+    """A warning where a sensor's counts are coarser than the controller takes them to be."""
+    finest, x = known.get("gains", {}).get("stroke_resolution", 0.0), f"{cylinder}.x"
+    count = least_step(record[x]) if finest and x in record else 0.0
+    if count > ARC.counts * finest:
+        sizes = {"count": rig.shown("x", count, 3), "finest": rig.shown("x", finest, 3)}
+        yield message("trial.coarse_stroke", channel=x, **sizes)
 
 
 def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) -> dict[str, Any]:

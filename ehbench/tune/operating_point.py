@@ -48,7 +48,7 @@ from ehbench.vocabulary.settings import setting
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this
-INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=float)
+INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1), (1, 0), (0, 1)], dtype=float)
 FED = {SUPPLY_HEAD: 0, SUPPLY_ROD: 1}  # paths from the supply, by the side to which they lead
 
 

@@ -14,6 +14,8 @@ FUNCTIONS = (
     "extend_resistive_regeneration",
     "retract_overrunning_through_rod",
     "extend_resistive_fed_at_rod",
+    "retract_overrunning_vented",
+    "extend_overrunning_vented",
 )
 (
     HOLD,
@@ -26,7 +28,9 @@ FUNCTIONS = (
     EXTEND_RESISTIVE_REGENERATION,
     RETRACT_OVERRUNNING_THROUGH_ROD,
     EXTEND_RESISTIVE_FED_AT_ROD,
-) = range(10)
+    RETRACT_OVERRUNNING_VENTED,
+    EXTEND_OVERRUNNING_VENTED,
+) = range(12)
 
 # channel `function_status`: STALLED, no function that suits is feasible; UNABLE, there is none
 OK, STALLED, UNABLE = 0, 1, 2

@@ -13,6 +13,9 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import starter
+from ehbench.data import read
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.runs import rundir
 from ehbench.runtime import disk
 from ehbench.vocabulary.errors import InputError
@@ -114,6 +117,26 @@ def test_a_file_put_there_while_the_run_is_made_is_kept(place):
             Path("out/late.txt").write_text("mine")
     assert Path("out/late.txt").read_text() == "mine" and not list(place.glob(".*"))
     assert Path("out/result.json").read_text() == "one"
+
+
+def test_what_a_machine_did_is_kept_beside_a_place_that_was_taken_meanwhile(place):
+    """As a whole run, or its log where the run fails."""
+    with rundir.open_run(Path("out"), "trial", Path(RECIPE), []) as run:
+        run.facts["on"] = "udp://127.0.0.1:47000"
+        (run.path / "result.json").write_text("moved")
+        Path("out").mkdir()
+        Path("out/late.txt").write_text("mine")
+    (said,) = run.left_over
+    assert said.key == "runs.beside" and tree("out") == {"late.txt": b"mine"}
+    assert run.final == Path("out_2") and rundir.is_whole(run.final)
+    with pytest.raises(OSError) as caught:
+        with rundir.open_run(Path("new"), "trial", Path(RECIPE), []) as run:
+            run.facts["on"] = "udp://127.0.0.1:47000"
+            write_log(run.path / "log.mcap", Record(np.arange(3.0), {"press.x": np.zeros(3)}))
+            raise OSError("no figure")
+    (note,) = caught.value.__notes__
+    (log,) = Path("salvaged").rglob("log.mcap")
+    assert str(log) in note and read(log).t.size == 3 and not Path("new").exists()
 
 
 def test_a_file_of_the_run_that_was_changed_is_kept_aside(place):

@@ -567,6 +567,9 @@ def test_the_pump_energy_of_the_bench_lies_in_its_interval(name, valve, volts, p
     assert abs(pump.energy - true) < 0.03 * true  # without the balance of its oil 11 to 60 %
 
 
+SPEEDS = ("lift.qd", "lift.v")
+
+
 def test_a_log_without_some_channels():
     """Speed and supply may be missing, and are named; pressures and position may not."""
     model = Model.of(rig_of("crane_proportional", lossy=False))
@@ -583,6 +586,15 @@ def test_a_log_without_some_channels():
         assert abs(less.residual.energy) < 5e-3 * whole.pump
     noted = ledger_of_log(model.rig, None, without("lift.qd", "lift.v"), accuracy=EXACT)
     assert "ledger.no_speed" in keys(noted)
+    counts = 1e-3 * np.round(full["lift.q"] / 1e-3)
+    coarse = replace(
+        full, channels={"lift.q": counts} | without(*SPEEDS, "lift.q", "lift.x").channels
+    )
+    fine, rough = (ledger_of_log(model.rig, None, log) for log in (without(*SPEEDS), coarse))
+    assert "ledger.noisy_speed" not in keys(fine)
+    (share,) = (note.fields["share"] for note in rough.notes if note.key == "ledger.noisy_speed")
+    true, shown = (ledger["arm.damping"].energy for ledger in (fine, rough))
+    assert share == pytest.approx(1.0 - true / shown, rel=0.3) and share > 0.2
     late = np.where(full.t > 0.5, np.nan, full["lift.p_head"])
     holed = replace(full, channels=full.channels | {"lift.p_head": late})
     for key, log in (

@@ -16,6 +16,8 @@ from ehbench import workflow
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
+from ehbench.plant.foreign import model_of
+from ehbench.preprocessing.preparation import preprocess
 from ehbench.runtime import fmu
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from tests.press_fmu import A1, A2, MASS, press, press_fmu
@@ -130,8 +132,6 @@ def fitted(place):
 
 
 def test_a_replay_is_scipys(place):
-    from ehbench.plant.foreign import model_of
-
     rig = load_rig(place / "rig.toml").with_values(TRUE)
     record = recorded(1, 1.5, -1.0)
     quiet = record.channels | {"press.p_head": np.full(1000, 6e6)}
@@ -144,6 +144,24 @@ def test_a_replay_is_scipys(place):
     for column, name in enumerate(("press.x", "press.v", "press.p_head", "press.p_rod")):
         span = np.ptp(y[:, column])
         assert built[name] == pytest.approx(y[:, column], rel=0, abs=1e-4 * span), name
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_log_that_begins_elsewhere_is_told(place, named):
+    """The FMU begins at 100 mm where ``start`` says nothing else, the log at 150 mm."""
+    rig = load_rig(place / "rig.toml")
+    assert rig.model is not None
+    if not named:
+        model = rig.model.model_copy(
+            update={"start": {"press.p_head": "pA0", "press.p_rod": "pB0"}}
+        )
+        rig = rig.model_copy(update={"model": model})
+    _, notes = preprocess("a", recorded(1, 1.5, -1.0), model_of(rig))
+    told = [note.fields for note in notes if note.key == "preprocessing.begins_elsewhere"]
+    expected = [("press.x", "100 mm", "150 mm")]
+    assert [tuple(map(fields.get, ("channel", "begins", "seen"))) for fields in told] == (
+        [] if named else expected
+    )
 
 
 def check_parameters(table):

@@ -3,6 +3,7 @@
 import os
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -51,6 +52,24 @@ def test_the_cache_is_that_of_these_sources(tmp_path, monkeypatch):
         (tmp_path / "law.py").write_text(f"@{mark}\ndef f(x): return 2 * x\n")
         folders |= {first, compiled._cache_folder()}
     assert len(folders) == 4
+
+
+def test_the_cache_lies_where_it_can_be_written(tmp_path, monkeypatch):
+    """Beside the package, where numba was told, at the user's home, or for this process alone."""
+    places = [tmp_path / name for name in ("package", "told", "home", "temporary")]
+    places[3].mkdir()
+    monkeypatch.setattr(compiled, "PACKAGE", places[0])
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(places[1]))  # pyright: ignore[reportPrivateImportUsage]
+    monkeypatch.setenv("HOME", str(places[2]))
+    monkeypatch.setenv("USERPROFILE", str(places[2]))
+    monkeypatch.setattr(compiled.tempfile, "tempdir", str(places[3]))
+    monkeypatch.setattr(compiled.atexit, "register", lambda *_, **given: given)
+    for place in places[:3]:
+        assert place in compiled._cache_folder().parents
+        shutil.rmtree(place)
+        place.write_text("no folder")
+    folder = compiled._cache_folder()
+    assert folder.parent == places[3] and folder.is_dir()
 
 
 @pytest.mark.parametrize("where", ["", "/elsewhere"])

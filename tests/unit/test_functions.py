@@ -17,7 +17,7 @@ from tests.shared import refused, shipped
 
 MOVES = ("extend_resistive", "extend_overrunning", "retract_resistive", "retract_overrunning")
 PLAIN = {"hold", *MOVES}
-ALL = set(codes.FUNCTIONS) - {codes.FUNCTIONS[f] for f in fn.SPARE}
+ALL = set(codes.FUNCTIONS[:8])
 SUPPLY, TANK, HEAD, ROD = range(4)
 A1, A2, PS = 2.0268e-3, 1.0688e-3, 6.9e6
 FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (ROD, TANK, 4))
@@ -55,8 +55,8 @@ def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS):
 
 def test_the_table_balances_the_oil_and_says_what_is_drawn():
     """Q1 into the head end, Q2 out of the rod end, no path backwards at steady speed."""
-    into_head = np.array([1, -1, 0, 0, -1, 1])
-    out_of_rod = np.array([0, 0, -1, 1, -1, 1])
+    into_head = np.array([1, -1, 0, 0, -1, 1, 1, 0])
+    out_of_rod = np.array([0, 0, -1, 1, -1, 1, 0, -1])
     for function in range(1, len(codes.FUNCTIONS)):
         assert into_head @ fn.PATH_FLOWS[function] == pytest.approx([1, 0], abs=0)
         assert out_of_rod @ fn.PATH_FLOWS[function] == pytest.approx([0, 1], abs=0)
@@ -66,7 +66,7 @@ def test_the_table_balances_the_oil_and_says_what_is_drawn():
     assert not fn.PATH_FLOWS[codes.HOLD].any()
     c = circuit(FIVE)
     drawn = [fn.supply_draw(f, c) for f in range(len(codes.FUNCTIONS))]
-    expected = [0, A1, A1, A1 - A2, A2, A2, 0, A1 - A2, 0, A1 - A2]
+    expected = [0, A1, A1, A1 - A2, A2, A2, 0, A1 - A2, 0, A1 - A2, 0, 0]
     assert drawn == pytest.approx(expected, abs=1e-18)
 
 
@@ -102,6 +102,17 @@ def test_what_other_circuits_can_do():
     crossed = ("extend_overrunning", "extend_resistive", "retract_overrunning")
     expected = {"hold", *(f"{name}_regeneration" for name in crossed)}
     assert able(circuit(LIFT)) == expected
+    # single-acting: the other end breathes by an edge of its own, by that of the same command, or
+    # by a check valve; not by one that opens the other way only
+    vented = PLAIN - {"retract_resistive", "retract_overrunning"} | {"retract_overrunning_vented"}
+    up, down = (SUPPLY, HEAD, 0), (HEAD, TANK, 0, -1)
+    ends = {"ranges": (-10.0, 10.0)}
+    assert able(circuit((up, down, (ROD, TANK, 1)), **ends)) == vented
+    assert able(circuit((up, down, (ROD, TANK, 0, 1), (ROD, TANK, 0, -1)), **ends)) == vented
+    assert able(circuit((up, down, (ROD, TANK, 0, 1), (TANK, ROD, -1)), **ends)) == vented
+    assert able(circuit((up, down, (ROD, TANK, 0, 1)), **ends)) == {"hold", *MOVES[:2]}
+    pulled = ((SUPPLY, ROD, 0), (ROD, TANK, 1), (TANK, HEAD, 2))
+    assert able(circuit(pulled)) == {"hold", *MOVES[2:], "extend_overrunning_vented"}
     # of two valves on one path the larger one serves
     both = circuit((*FIVE, (SUPPLY, HEAD, 5)))
     assert both.paths[fn.SUPPLY_HEAD] == 1

@@ -29,7 +29,7 @@ from ehbench.trial.cases import middle_of, over_runs
 from ehbench.trial.measures import step_measures, tracking_measures
 from ehbench.trial.motion import references
 from ehbench.trial.preparation import Stop
-from ehbench.trial.running import Facts
+from ehbench.trial.running import Facts, _coarse_stroke
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 from tests.shared import RECIPES, RIGS, shipped
@@ -736,3 +736,15 @@ def test_the_decay_of_a_shaped_step_begins_with_its_level():
     swing = np.exp(-0.1 * 25.0 * late) * np.sin(25.0 * np.sqrt(0.99) * late)
     result = step_measures(t, 0.1 * np.minimum(t / 0.3, 1.0) + 0.02 * swing, 0.1, shaped=300)
     assert result.damping_ratio == pytest.approx(0.1, abs=0.002)
+
+
+@pytest.mark.parametrize(("count", "told"), [(1e-3, True), (2.5e-5, False), (0.0, False)])
+def test_a_stroke_in_coarser_counts_than_the_controller_takes_is_told(count, told):
+    x = np.linspace(0.1, 0.2, 1001) ** 2
+    x = np.round(x / count) * count if count else x
+    record = Record(np.arange(x.size) * 1e-3, {"press.x": x})
+    known = {"gains": {"stroke_resolution": 2.5e-5}}
+    notes = list(_coarse_stroke(record, known, shipped("slide_servo"), "press"))
+    assert [note.key for note in notes] == ["trial.coarse_stroke"] * told
+    assert all(note.fields["count"] == "1 mm" for note in notes)
+    assert not list(_coarse_stroke(record, {}, shipped("slide_servo"), "press"))

@@ -31,7 +31,7 @@ from ehbench.vocabulary.quantities import GAUGES
 
 FUNCTION_SHADES = (
     *("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b"),
-    *("#b5543c", "#7fb069"),
+    *("#b5543c", "#7fb069", "#c2a5cf", "#80cdc1"),
 )
 _PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
 LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
