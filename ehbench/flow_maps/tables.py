@@ -17,6 +17,7 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.terms import Z95
 from ehbench.vocabulary.units import from_si
 
 
@@ -260,7 +261,7 @@ def _warm_flow(fit: FlowMapFit, rows: FlowmeterData) -> Iterator[Message]:
     change = abs(slope) * np.ptp(warm)
     if abs(slope) > SETTINGS.warm_sigmas * std and change > SETTINGS.warm_change:
         percent = 1000.0  # for 10 K
-        half = percent * 1.96 * std
+        half = percent * Z95 * std
         yield message("flow_maps.warm_flow", share=percent * slope, half=half, kelvin=10.0)
 
 
