@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -61,7 +61,7 @@ class PreparedReadings:
 
 
 def prepare_readings(
-    rig: Rig, parts: Sequence[FlowmeterData], leave_out: bool = False
+    rig: Rig, parts: Sequence[FlowmeterData], leave_out: Collection[str] = ()
 ) -> PreparedReadings:
     """Sort readings to the rig's edges.
 
@@ -70,8 +70,8 @@ def prepare_readings(
             edge, or a valve and a direction such as ``head->rod``. Commands of an edge of sign −1
             are negative, as sent to the driver.
         parts: readings of one or more files.
-        leave_out: leave out a few readings at commands that do not open their edge, or that no
-            driver gives.
+        leave_out: names of files of which to leave out a few readings at commands that do not open
+            their edge, or that no driver gives.
 
     Raises:
         InputError: readings of an edge that the rig does not have, or commands on the wrong side of
