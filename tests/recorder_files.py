@@ -247,6 +247,34 @@ _lines(
     "column 1",
 )
 _lines(
+    "Rigol",
+    "a.csv",
+    ["X,CH1,CH2,Start,Increment,", "Sequence,Volt,Volt,-1.500000e-01,1.000000e-02"]
+    + [f"{row},," for row in _rows("n a b")],
+    {"X": "", "CH1": "", "CH2": ""},
+)
+_lines(
+    "Rigol, one line",
+    "a.csv",
+    ["CH1V,CH2V,t0 =-0.15s, tInc = 10ms,", *(f"{row},,," for row in _rows("a b"))],
+    {"CH1V": "", "CH2V": ""},
+)
+_lines(
+    "names and values above the numbers",
+    "a.txt",
+    ["Sample rate: 100 Hz", "Operator: Meier", "", "p_head [bar]\tangle [deg]"]
+    + _rows("a q", "\t"),
+    {"p_head [bar]": HEAD, "angle [deg]": Q},
+    *("p_head [bar]", "angle [deg]"),
+)
+_lines(
+    "start and increment in a table of their own",
+    "a.mat",
+    ["start,increment", "-0.15,0.01", "p_head [bar],angle [deg]", *_rows("a q")],
+    {"p_head [bar]": HEAD, "angle [deg]": Q},
+    *("p_head [bar]", "angle [deg]"),
+)
+_lines(
     "Siglent",
     "a.csv",
     ["Vertical Units,CH1:V,CH2:V", "Model,SDS1204", "Second,Volt,Volt", *_rows("t u a")],

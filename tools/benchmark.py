@@ -662,8 +662,8 @@ def _maps(rig: Rig) -> FlowMaps:
     if not isinstance(recipe, FlowMapRecipe):
         raise AssertionError("flow_maps.toml makes no flow maps")
     readings = [
-        read_flowmeter(recipe.file(name), supply_pressure=float(rig.supply.pressure))
-        for name in recipe.data
+        read_flowmeter(recipe.file(item.path), supply_pressure=float(rig.supply.pressure))
+        for item in recipe.data
     ]
     groups = [(group, data.select(*group)) for data in readings for group in data.groups()]
     return collect([fit_flow_map(*group, rows).map for group, rows in groups])

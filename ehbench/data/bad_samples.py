@@ -9,6 +9,7 @@ import numpy as np
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap
 from ehbench.data.rates import SETTINGS, Group, Window, in_window, is_bad, lines_text, range_of
 from ehbench.data.record import resampled
+from ehbench.signals.series import stretches_of
 from ehbench.vocabulary.errors import LogError, UnitError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import plural
@@ -65,9 +66,8 @@ def clean(
 
 def _short(bad: np.ndarray) -> np.ndarray:
     """Where a run of bad samples is short enough to be bridged, with good ones at both ends."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]])))
     result = np.zeros(bad.size, bool)
-    for start, stop in edges.reshape(-1, 2):
+    for start, stop in stretches_of(bad):
         few = stop - start <= SETTINGS.bridged
         result[start:stop] = few and start > 0 and stop < bad.size
     return result

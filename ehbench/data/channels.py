@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -58,7 +58,9 @@ def read_mapped(
         columns = replace(given, columns=keys)
     mapping = _Mapping(path, columns, source)
     groups = mapping.groups()
-    losses = [*mapping.overruled(), *(note for group in groups for note in _rate_note(group))]
+    losses = [note for group in groups for note in _rate_note(group)]
+    for name, mapped in columns.columns.names.items():
+        losses += overruled(name, mapped, mapping.column(name), path)
     of_text = source.dialect.separator is not None  # tables below one another
     used = {index for index, _ in mapping.places.values()}
     for index, table in enumerate(source.tables if of_text else ()):
@@ -152,6 +154,14 @@ def si_of(
     return gain * column.values + zero
 
 
+def overruled(name: str, mapped: MappedColumn, column: SourceColumn, path: Path) -> list[Message]:
+    """A note on a column whose unit in the file is another than in the map."""
+    if not mapped.overrules(unit := column.known_unit):
+        return []
+    fields = {"file": path.name, "name": name, "unit": unit}
+    return [message("data.unit_overruled", mapped=mapped.unit, **fields)]
+
+
 @dataclass(frozen=True)
 class _Mapping:
     """A file under its map."""
@@ -179,7 +189,7 @@ class _Mapping:
                 groups[index, time] = self._timed(index, time)
             group = groups[index, time]
             group.channels[mapped.channel] = self._si(name)
-            group.columns[mapped.channel] = self._column(name)
+            group.columns[mapped.channel] = self.column(name)
         if not groups:
             raise InputError(message("data.maps_nothing"), **self.columns.at())
         times, results = [index for index, _ in groups], []
@@ -212,24 +222,18 @@ class _Mapping:
         same = [item for item, i, _ in times if tables[i].size == tables[index].size]
         return [*left[-1:], *right[:1], *same[:1], ""][0]
 
-    def _column(self, name: str) -> SourceColumn:
+    def column(self, name: str) -> SourceColumn:
+        """The column of a name."""
         table, column = self.places[name]
         return self.source.tables[table].columns[column]
 
     def _si(self, name: str) -> np.ndarray:
         """A column of the map in SI."""
         mapped = self.columns.columns.names[name]
-        lines, column = self.source.tables[self.places[name][0]].lines, self._column(name)
+        lines, column = self.source.tables[self.places[name][0]].lines, self.column(name)
         if mapped.channel == "t":
             column = replace(column, values=unwrapped(column.values))
         return si_of(name, mapped, column, self.columns, self.path, lines)
-
-    def overruled(self) -> Iterator[Message]:
-        """Notes on columns whose unit in the file is another than in the map."""
-        for name, mapped in self.columns.columns.names.items():
-            if mapped.overrules(unit := self._column(name).known_unit):
-                fields = {"file": self.path.name, "name": name, "unit": unit}
-                yield message("data.unit_overruled", mapped=mapped.unit, **fields)
 
     def _timed(self, index: int, time: str) -> Group:
         """A table with its time, and no channel yet: by the rate that the map says, a column of
@@ -251,7 +255,7 @@ class _Mapping:
                 stamps = timestamps_of(stamped, 1.0 / rate) if fine else None
                 t = stamps.number / rate if stamps is not None and stamps.even else t
         elif t is not None and time:
-            values = unwrapped(self._column(time).values)
+            values = unwrapped(self.column(time).values)
             values = values[np.isfinite(values)]
             if values.size == t.size and np.ptp(values) > 0.0:
                 coarse, scale = resolution(values), float(np.ptp(t) / np.ptp(values))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe.columns import READING_WORDS, ColumnMap
-from ehbench.data.channels import dialect_of, si_of
+from ehbench.data.channels import dialect_of, overruled, si_of
 from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
@@ -119,11 +119,11 @@ _ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.type == "np.ndarray")
 
 
 class LeftOut:
-    """Readings that cannot be right: the first stops the reading of a file, or each is ``allowed``
-    to be left out and reported, as long as they are few.
+    """Readings that cannot be right: the first stops the reading, or those of files whose name is
+    ``allowed`` are left out and reported, as long as they are few.
     """
 
-    def __init__(self, allowed: bool) -> None:
+    def __init__(self, allowed: Collection[str]) -> None:
         self.allowed = allowed
         self.errors: list[tuple[str, InputError]] = []
 
@@ -131,9 +131,9 @@ class LeftOut:
         """Note what is wrong with a reading of a valve.
 
         Raises:
-            InputError: where nothing may be left out.
+            InputError: where nothing of its file may be left out.
         """
-        if not self.allowed:
+        if Path(str(error.file)).name not in self.allowed:
             cure = message("data.leave_readings_out")
             hint = cure if error.hint is None else f"{error.hint}; {cure}"
             raise type(error)(error.message, file=error.file, line=error.line, hint=hint)
@@ -175,7 +175,7 @@ class LeftOut:
 @dataclass(frozen=True, eq=False)
 class _Sheet:
     """Columns of readings: ``numbers`` in SI with the text of what is none, by row (``odd``), the
-    ``units`` that they were written in, ``words``, and the line of each row.
+    ``units`` that they were written in, ``words``, the line of each row, and ``notes`` on all.
     """
 
     path: Path
@@ -184,6 +184,7 @@ class _Sheet:
     odd: Mapping[str, Mapping[int, str]]
     words: Mapping[str, Sequence[str]]
     units: Mapping[str, str]
+    notes: Sequence[Message] = ()
 
 
 def read_flowmeter(
@@ -217,7 +218,7 @@ def read_flowmeter(
     path = Path(path)
     named = columns is not None and bool(columns.columns.names)
     sheets = _mapped(path, columns) if columns and named else [_named(path)]
-    left_out = LeftOut(leave_out)
+    left_out = LeftOut([path.name] if leave_out else [])
     rows: list[dict[str, Any]] = []
     for sheet in sheets:
         for index, valve in enumerate(sheet.words["valve"]):
@@ -227,13 +228,19 @@ def read_flowmeter(
                 left_out.take(valve, error)
     if not rows and not left_out.errors:
         raise InputError(message("data.no_readings", example=_EXAMPLE), file=path)
-    units, warnings = sheets[0].units, ()
+    units = sheets[0].units
+    warnings: list[str] = [note for sheet in sheets for note in sheet.notes]
     if supply_pressure is not None:
-        rows, warnings = _within_supply(rows, supply_pressure, units, left_out)
+        rows, small = _within_supply(rows, supply_pressure, units, left_out)
+        warnings += small
     rows = _signs(rows, left_out)
     losses = left_out.sentences([row["valve"] for row in rows])
     arrays: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ARRAYS}
-    about = {"warnings": warnings, "losses": losses, "details": left_out.details}
+    about: dict[str, Any] = {
+        "warnings": tuple(warnings),
+        "losses": losses,
+        "details": left_out.details,
+    }
     return FlowmeterData(**arrays, **about, units=units)
 
 
@@ -324,7 +331,7 @@ def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
 
 def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> _Sheet:
     """The readings of the first table of a source, those of a valve where no column names it."""
-    table, numbers, odd, words = source.tables[0], {}, {}, {}
+    table, numbers, odd, words, notes = source.tables[0], {}, {}, {}, []
     lines = table.lines or range(2, table.size + 2)
     for name, mapped in columns.columns.names.items():
         what = mapped.channel.rpartition(".")[2]
@@ -340,10 +347,11 @@ def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) ->
             words[what] = [f"{value:g}" for value in column.values]
         elif what != "t":
             numbers[what], odd[what] = si_of(name, mapped, column, columns, path, lines), column.odd
+            notes += overruled(name, mapped, column, path)
     words.setdefault("valve", [valve] * table.size)
     units = {name: VOCABULARY[name].unit for name in numbers}
     _check_columns(dict.fromkeys([*numbers, *words], 0), columns.at("names"))
-    return _Sheet(path, lines, numbers, odd, words, units)
+    return _Sheet(path, lines, numbers, odd, words, units, notes)
 
 
 def alike(source: Source, names: Sequence[str] | None = None) -> list[SourceTable]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,6 +17,7 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.terms import Z95
 from ehbench.vocabulary.units import from_si
 
 
@@ -60,7 +61,7 @@ class PreparedReadings:
 
 
 def prepare_readings(
-    rig: Rig, parts: Sequence[FlowmeterData], leave_out: bool = False
+    rig: Rig, parts: Sequence[FlowmeterData], leave_out: Collection[str] = ()
 ) -> PreparedReadings:
     """Sort readings to the rig's edges.
 
@@ -69,8 +70,8 @@ def prepare_readings(
             edge, or a valve and a direction such as ``head->rod``. Commands of an edge of sign −1
             are negative, as sent to the driver.
         parts: readings of one or more files.
-        leave_out: leave out a few readings at commands that do not open their edge, or that no
-            driver gives.
+        leave_out: names of files of which to leave out a few readings at commands that do not open
+            their edge, or that no driver gives.
 
     Raises:
         InputError: readings of an edge that the rig does not have, or commands on the wrong side of
@@ -260,7 +261,7 @@ def _warm_flow(fit: FlowMapFit, rows: FlowmeterData) -> Iterator[Message]:
     change = abs(slope) * np.ptp(warm)
     if abs(slope) > SETTINGS.warm_sigmas * std and change > SETTINGS.warm_change:
         percent = 1000.0  # for 10 K
-        half = percent * 1.96 * std
+        half = percent * Z95 * std
         yield message("flow_maps.warm_flow", share=percent * slope, half=half, kelvin=10.0)
 
 

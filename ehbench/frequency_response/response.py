@@ -17,6 +17,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.preprocessing.time_base import SETTINGS as TIME
 from ehbench.preprocessing.time_base import evened
+from ehbench.signals.series import stretches_of
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.settings import setting
@@ -433,11 +434,10 @@ def _warnings(
 
 def _ranges(frequency: np.ndarray, marked: np.ndarray) -> str:
     """``2 … 5 Hz, 30 … 500 Hz``; the three widest, in order."""
-    at = np.flatnonzero(marked)
-    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-    widest = sorted(sorted(runs, key=len, reverse=True)[:3], key=lambda run: run[0])
+    runs = stretches_of(marked)
+    widest = np.sort(np.argsort(runs[:, 0] - runs[:, 1], kind="stable")[:3])
     words = [
-        f"{frequency[run[0]]:.4g}" + (f" … {frequency[run[-1]]:.4g}" if len(run) > 1 else "")
-        for run in widest
+        f"{frequency[start]:.4g}" + (f" … {frequency[end - 1]:.4g}" if end - start > 1 else "")
+        for start, end in runs[widest]
     ]
     return ", ".join(f"{word} Hz" for word in words) + (", …" if len(runs) > 3 else "")

@@ -306,5 +306,6 @@ class Matching:
         # a median's standard error over a mean's
         median = math.sqrt(math.pi / 2.0) if count > 2 else 1.0
         std = median * max(scatter, rms(np.array(errors))) / math.sqrt(count)
-        quantile = float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL)) if count > 1 else 1.96
+        # a single window's error is that of its recording
+        quantile = float(stdtrit(count - 1 or math.inf, 0.5 + 0.5 * LEVEL))
         return std / max(abs(slope), 1e-12), quantile, count

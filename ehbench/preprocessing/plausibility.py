@@ -366,11 +366,13 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
         for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES):
             if (channel := f"{name}.{word}") not in record:
                 continue
-            way, position = float(np.ptp(record[channel])), word in ("q", "x")
-            still = position and way < SETTINGS.still * _travel_of(cylinder, word)
+            way, motion = float(np.ptp(record[channel])), word in ("q", "x", "qd", "v")
+            least = SETTINGS.still * _travel_of(cylinder, word) if word in ("q", "x") else 0.0
+            still = motion and way <= least
             fields = {"channel": channel, "cylinder": name}
-            if moves and way == 0.0:
-                yield message("preprocessing.constant", **fields)
+            if way == 0.0 and (moves or (pushed and not motion)):
+                level = rig.shown(channel, record[channel][0])
+                yield message("preprocessing.constant", level=level, **fields)
             elif moves and still:
                 yield message("preprocessing.stands_still", **fields)
             elif pushed and still:

@@ -10,6 +10,7 @@ from ehbench.report.saved import FigureIndex, Saved, Series, Table
 from ehbench.report.style import MUTED, RECORDED, SIMULATED, Look, canvas, key, legend, thin
 from ehbench.report.template import Template
 from ehbench.report.words import axis, number, pretty, shown, title_of, unit_of, words
+from ehbench.signals.series import stretches_of
 
 _FAR_OFF = 0.1  # share of a channel's range
 _TWINS = {"x": "q", "v": "qd"}  # a joint's angle and its cylinder's stroke say the same
@@ -69,8 +70,8 @@ def lasting(series: Series, channels: Sequence[str]) -> list[tuple[str, float]]:
         limit = _FAR_OFF * float(np.ptp(recorded[np.isfinite(recorded)], axis=0))
         longest = 0.0
         for beyond in (error > limit, -error > limit):
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
-            spans = t[np.minimum(edges[1::2], t.size - 1)] - t[edges[::2]]
+            starts, ends = stretches_of(beyond).T
+            spans = t[np.minimum(ends, t.size - 1)] - t[starts]
             longest = max(longest, float(np.max(spans, initial=0.0)))
         if limit > 0.0 and longest >= 0.2 * float(t[-1] - t[0]):
             lasting.append((channel, longest))

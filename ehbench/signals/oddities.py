@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ehbench.signals.series import stretches_of
 from ehbench.vocabulary.settings import setting
 
 
@@ -54,10 +55,9 @@ def oddities(values: np.ndarray) -> list[Oddity]:
         at = np.flatnonzero(y == end)
         others = y[y != end]
         span = float(np.ptp(others)) if others.size else 0.0
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], y == end, [False]])))
         sides = [
             np.abs(end - y[i])
-            for a, b in edges.reshape(-1, 2)
+            for a, b in stretches_of(y == end)
             for i in (a - 1, b)
             if 0 <= i < y.size
         ]

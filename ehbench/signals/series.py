@@ -104,6 +104,14 @@ def first_of(y: np.ndarray, count: int) -> float:
     return float(np.polynomial.polynomial.polyfit(z, y[:count], 1)[0])
 
 
+def stretches_of(marked: np.ndarray) -> np.ndarray:
+    """First entry and the one after the last of each stretch that is marked, shape (stretches, 2),
+    of a mask, shape (samples,).
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
 def block_averages(y: np.ndarray, each: int) -> np.ndarray:
     """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
     left out.

@@ -143,42 +143,41 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         return Work(facts, code=INCOMPLETE if lost else DONE)
 
 
-_Readings = tuple[list["FlowmeterData"], NamedFiles, bool, Logs | None]
+_Readings = tuple[list["FlowmeterData"], NamedFiles, list[str], Logs | None]
 
 
 def _of_files(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
-    """(readings of flowmeter files, the files, whether bad samples are left out, None)."""
+    """(readings of flowmeter files, the files, those whose bad samples are left out, None)."""
     from ehbench.data.flowmeter import read_flowmeter
 
-    parts, files, columns = [], [], inputs.columns()
-    leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
-    for name in recipe.data:
+    parts, files, maps, lossy, supply = [], [], [], [], float(rig.supply.pressure)
+    for index, item in enumerate(recipe.data):
         with inputs.notes.collected():
-            files.append(inputs.existing(name))
-            supply = float(rig.supply.pressure)
-            part = read_flowmeter(files[-1], columns, supply_pressure=supply, leave_out=leave_out)
+            columns = inputs.columns(item, index)
+            files.append(("data", path := inputs.existing(item.path)))
+            maps += [("columns", file) for file in (() if columns is None else columns.files)]
+            leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
+            lossy += [path.name] * leave_out
+            part = read_flowmeter(path, columns, supply_pressure=supply, leave_out=leave_out)
             parts.append(part)
-            _note_readings(name, part, inputs)
-            inputs.notes.remarks += [str(text) for text in part.warnings]
-    maps = () if columns is None else columns.files
-    named = (*(("data", path) for path in files), *(("columns", path) for path in maps))
-    return parts, named, leave_out, None
+            _note_readings(item.path, part, inputs)
+            inputs.notes.remarks += part.warnings
+    return parts, (*files, *dict.fromkeys(maps)), lossy, None
 
 
 def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
-    """(readings that step logs give, their files, False, the logs)."""
-    from ehbench.config.recipe.base import DataFile
+    """(readings that step logs give, their files, none, the logs)."""
     from ehbench.flow_maps.step_readings import step_readings
     from ehbench.plant.model import Model
 
-    logs = inputs.logs([DataFile(path=name) for name in recipe.data], rig)
+    logs = inputs.logs(recipe.data, rig)
     model, parts = Model.of(rig), []
     for name, record in logs.records:
         with inputs.notes.collected():
             part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
             parts.append(part)
             _note_readings(name, part, inputs)
-    return parts, logs.files, False, logs
+    return parts, logs.files, [], logs
 
 
 def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:

@@ -266,8 +266,8 @@ class Inputs:
         return Logs(records, tuple(inputs), losses, remarks, details, entries, places)
 
     def try_files(self, data: Sequence[DataFile]) -> None:
-        """Read the files of some entries, for the errors of those that cannot be read: what is left
-        to check where there is no rig.
+        """Read the files of some entries that were not tried yet, for the errors of those that
+        cannot be read: what is left to check where there is no rig.
 
         Raises:
             InputError: one is not there, or cannot be read; with those of the others.
@@ -276,7 +276,7 @@ class Inputs:
         for index, item in enumerate(data):
             with gathered(errors):
                 path = self.existing(item.path)
-                if path.suffix != ".toml" and not path.is_dir():
+                if path.suffix != ".toml" and not path.is_dir() and path not in self.notes.tried:
                     self._read(item, index, path, False, [], None)
         raise_all(errors)
 
@@ -294,6 +294,7 @@ class Inputs:
         from ehbench.data.additional import AdditionalFile
         from ehbench.preprocessing.plausibility import travels
 
+        self.notes.tried.add(path)
         columns = None if is_run else self.columns(item, index)
         ways = {} if rig is None else travels(rig)
         columns = columns and replace(columns, travels=ways)

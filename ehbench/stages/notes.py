@@ -29,6 +29,7 @@ class Notes:
         losses: data that are lost.
         errors: what the run would stop at.
         options: of the command, without which the run is refused.
+        tried: logs that were read, or could not be.
     """
 
     recipe: Recipe
@@ -44,6 +45,7 @@ class Notes:
     losses: list[str] = field(default_factory=list)
     errors: list[EhbenchError] = field(default_factory=list)
     options: set[str] = field(default_factory=set)
+    tried: set[Path] = field(default_factory=set)
 
     def add(self, kind: str, *texts: str) -> None:
         """Add texts to ``reads``, ``required``, ``remarks``, ``undecided``, ``losses``, once."""

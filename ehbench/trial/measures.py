@@ -12,7 +12,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.machines.protocol import Machine, static_flow_of
 from ehbench.parts.edge import edge_flows, edge_onset
-from ehbench.signals.series import ringing, rms
+from ehbench.signals.series import ringing, rms, stretches_of
 from ehbench.trial.controllers import Design
 from ehbench.vocabulary.codes import STALLED, UNABLE
 from ehbench.vocabulary.settings import setting
@@ -161,10 +161,8 @@ def short_measures(
         v_desired: desired speed [m/s].
         saturated: where a valve was at its end.
     """
-    short = np.concatenate([[0], (saturated & (v_desired != 0.0)).astype(int), [0]])
-    starts, ends = np.flatnonzero(np.diff(short) > 0), np.flatnonzero(np.diff(short) < 0)
     tick, results = float(t[1] - t[0]), None
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+    for start, end in stretches_of(saturated & (v_desired != 0.0)).tolist():
         desired = float(np.mean(np.abs(v_desired[start:end])))
         reached = float(np.mean(v[start:end] * np.sign(v_desired[start:end])))
         lasted = tick * (end - start)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import workflow
+from ehbench import data, workflow
 from ehbench.app import inspection
 from ehbench.data import read
 from ehbench.data.logs import write_log
@@ -248,6 +248,19 @@ def test_lost_data_are_told_with_3(recipes):
     path = changed(recipes, "slide_servo/validation.toml", held, "../../cut")
     found = inspection.check(path)
     assert found.code == 3 and any("lost: cut.mcap" in line for line in found.lines)
+
+
+def test_each_log_is_read_once_whatever_is_wrong(recipes, monkeypatch):
+    taken = []
+    monkeypatch.setattr(
+        data, "read", lambda path, **given: taken.append(path) or read(path, **given)
+    )
+    (recipes / "a.csv").write_text("t [s],x\n0,1\n")
+    path = changed(
+        recipes, JUDGED, "../../datasets/thesis_arm/heldout/swing_no_load.mcap", "../a.csv"
+    )
+    assert [error.key for error in inspection.check(path).errors] == ["data.label_without_unit"]
+    assert len(taken) == len(set(taken))
 
 
 def test_code_is_not_run(recipes):

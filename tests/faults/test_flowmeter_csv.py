@@ -278,7 +278,7 @@ def test_a_wild_reading_is_refused_with_its_line_or_left_out_and_named(write, na
 
     def taken(leave_out: bool) -> PreparedReadings:
         data = read_flowmeter(path, supply_pressure=6.9e6, leave_out=leave_out)
-        return prepare_readings(rig, [data], leave_out)
+        return prepare_readings(rig, [data], [path.name] * leave_out)
 
     if "both" not in name:  # which is a reading of the other direction, one of few
         with pytest.raises(InputError, match=words) as caught:

@@ -386,7 +386,15 @@ def test_too_few_samples_are_counted(count):
 @pytest.mark.parametrize("word", ["x", "q", "v", "qd", "p_head", "p_rod"])
 def test_a_stuck_sensor_is_told(word):
     stuck = changed(crane(), **{f"lift_{word}": np.full(1501, crane()[f"lift.{word}"][0])})
-    assert f"lift.{word} is constant while lift moves: is the sensor stuck?" in taken(stuck)[1]
+    assert any(f"lift.{word} is " in text and "throughout" in text for text in taken(stuck)[1])
+
+
+@pytest.mark.parametrize("word, key", [("p_rod", "constant"), ("qd", "stands_still_pushed")])
+def test_a_dead_sensor_is_told_of_a_log_without_positions(word, key):
+    dead = changed(crane(), **{f"lift_{word}": np.zeros(1501)})
+    known = ("lift.p_head", "lift.p_rod", "lift.spool.command", f"lift.{word}")
+    alone = replace(dead, channels={name: dead[name] for name in known})
+    assert [note.key for note in taken(alone)[1]] == [f"preprocessing.{key}"]
 
 
 def test_an_angle_that_stands_still_is_told_whatever_else_was_recorded():

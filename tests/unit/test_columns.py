@@ -1,5 +1,6 @@
 """Maps of columns: what they make of numbers, of bad samples, and where they are named."""
 
+import re
 import sys
 from contextlib import suppress
 from dataclasses import replace
@@ -711,9 +712,10 @@ READING_MAP = (
 def test_flowmeter_readings_take_a_map_too(valves, tmp_path):
     raw_readings(tmp_path / "sh.csv", valves)
     own = READING_MAP + ('Ventil = "valve"\n' if valves else "")
+    entry = 'data = [{ path = "sh.csv", columns = "m.toml" }]\n'
     (tmp_path / "r.toml").write_text(
         f'stage = "identify"\nwhat = "flow_map"\nrig = "{ROOT}/recipes/rigs/boom_four_valve.toml"\n'
-        f'data = ["sh.csv"]\n[columns.names]\n{own}'
+        + (f'data = ["sh.csv"]\n[columns.names]\n{own}' if valves else entry)
     )
     (tmp_path / "m.toml").write_text("[names]\n" + own)
     found = inspection.check(tmp_path / "r.toml")
@@ -724,6 +726,15 @@ def test_flowmeter_readings_take_a_map_too(valves, tmp_path):
     for name in ("command", "flow", "pressure_drop"):
         np.testing.assert_allclose(getattr(back, name), getattr(data, name), rtol=1e-6, atol=1e-9)
     assert back.line[0] == 5
+    (tmp_path / "m.toml").write_text("[names]\n" + own.replace('"flow"', '"flow [cm^3/s]"'))
+    (note,) = read_flowmeter(tmp_path / "sh.csv", load_columns(tmp_path / "m.toml")).warnings
+    assert note.key == "data.unit_overruled"
+    assert valves or f"  note: {note}" in inspection.check(tmp_path / "r.toml").lines
+    text = (tmp_path / "r.toml").read_text()
+    timed = re.sub(r"^data = .*", 'data = [{ path = "sh.csv", stop = "1 s" }]', text, flags=re.M)
+    (tmp_path / "r.toml").write_text(timed)
+    with pytest.raises(InputError, match="has no 'stop'"):
+        inspection.check(tmp_path / "r.toml")
 
 
 def test_a_bad_reading_is_refused_or_left_out(undrawn, tmp_path):

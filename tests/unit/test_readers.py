@@ -202,6 +202,11 @@ def test_a_file_is_known_by_how_it_begins(files, tmp_path):
     path = tmp_path / "named_wrong.csv"
     path.write_bytes(files["a.tdms"].read_bytes())
     assert reader_of(path).name == "TDMS"
+    path.write_bytes(files["a.xlsx"].read_bytes())
+    assert [table.name for table in open_source(path).tables] == ["Log", "Slow"]
+    for name in ("text.mat", "text.parquet", "text.mcap", "text.xlsx"):
+        (tmp_path / name).write_text("t [s],ram.q [deg]\n0,1\n1,2\n2,4\n", encoding="utf-16")
+        assert read(tmp_path / name)["ram.q"] == pytest.approx(np.radians([1, 2, 4]))
     with pytest.raises(LogError, match="does not know '.py' files"):
         reader_of(Path(foreign.__file__))
     with pytest.raises(LogError, match="no ROS 2 bag"):
@@ -293,6 +298,16 @@ def test_rows_without_a_time_have_the_one_that_the_facts_above_say(tmp_path):
     (tmp_path / "a.csv").write_text(facts.format("2.0E-03") + rows)
     (table,) = open_source(tmp_path / "a.csv").tables
     assert table.t is not None and table.t.tolist() == [-0.5 + 2e-3 * n for n in range(30)]
+    facts = "X,CH1,Start,Increment,\nSequence,Volt,-5E-01,2E-03\n"  # below their titles
+    (tmp_path / "b.csv").write_text(facts + "".join(f"{n},{n}.5,,\n" for n in range(30)))
+    (again,) = open_source(tmp_path / "b.csv").tables
+    assert again.t is not None and again.t.tolist() == table.t.tolist()
+    assert [(one.name, one.unit) for one in again.columns] == [("X", "counts"), ("CH1", "V")]
+    rate = "Sample rate: 0.5 kHz\nt0 = -500 ms\np [bar]\tq [deg]\n"  # behind their titles
+    (tmp_path / "c.txt").write_text(rate + rows.replace(",", "\t").replace("\n\t", "\n")[1:])
+    (again,) = open_source(tmp_path / "c.txt").tables
+    assert again.t is not None and again.t.tolist() == pytest.approx(table.t.tolist())
+    facts = "TraceName,p,q\nVUnit,bar,deg\nHResolution,2.0E-03,{}\nHOffset,-0.5,-0.5\n\n"
     (tmp_path / "a.csv").write_text(facts.format("1.0E-03") + rows)  # each its own: nobody knows
     assert open_source(tmp_path / "a.csv").tables[0].t is None
 
@@ -315,6 +330,28 @@ def test_seconds_and_their_nanoseconds_are_one_clock(tmp_path):
     (tmp_path / "a.csv").write_text("sec,nsec,p [bar]\n" + text.replace(",250000000,", ",2e9,"))
     (table,) = open_source(tmp_path / "a.csv").tables  # no part of a second
     assert table.columns[0].values[0] == 1700000000.0
+
+
+@pytest.mark.parametrize(
+    "text, values",
+    [
+        ('[{"t": 0, "p": {"q": 1.125}},\n {"t": 1}, {"t": 2, "p": {"q": 3}}]', [1.125, 3.0]),
+        ('{"p.q": [1.5, "n/a", 2, NaN], "t": [0, 1, 2, 3]}', [1.5, 2.0]),
+        ('{"t": 0}\n{"t": 1, "p": {"q": 2}}\n{"t": 2, "p": {"q": 3}}\n{"t": 3, "p', [2.0, 3.0]),
+        ('{"t": 1}', "data.no_records"),
+        ("[1, 2]", "data.no_records"),
+    ],
+)
+def test_json_of_records_or_columns_is_read(text, values, tmp_path):
+    (tmp_path / "a.json").write_text(text)
+    if isinstance(values, str):
+        with refused(values, LogError):
+            open_source(tmp_path / "a.json")
+        return
+    source = open_source(tmp_path / "a.json")
+    column = next(one for one in source.tables[0].columns if one.name == "p.q")
+    assert column.values[np.isfinite(column.values)].tolist() == values
+    assert len(source.losses) == text.endswith("p")
 
 
 def test_ticks_of_windows_are_a_wall_clock(tmp_path):

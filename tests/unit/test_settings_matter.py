@@ -246,7 +246,7 @@ def driven(volts):
         rows,
         Stub(command_min=0.0, command_max=10.0),
         Stub(sign=1),
-        tables.LeftOut(False),
+        tables.LeftOut([]),
     )
     return refusal(lambda: tables._commanded("a", *given))
 

@@ -468,11 +468,11 @@ def bridged():
 # --- readings
 
 
-def readings(flows, drops, direction="", allowed=True):
+def readings(flows, drops, direction=""):
     same = {"valve": "a", "direction": direction, "file": "f"}
     pairs = enumerate(zip(flows, drops, strict=True))
     rows = [same | {"flow": q, "pressure_drop": p, "line": n} for n, (q, p) in pairs]
-    left = flowmeter.LeftOut(allowed)
+    left = flowmeter.LeftOut("f")
     return flowmeter._signs(rows, left), left
 
 
@@ -490,14 +490,14 @@ def reverse(count):
 def against_supply(times):
     """Readings left out, and doubts, of a drop so many times the supply's pressure."""
     row = {"pressure_drop": times * 1e7, "valve": "a", "file": "f", "line": 1}
-    left = flowmeter.LeftOut(True)
+    left = flowmeter.LeftOut("f")
     doubts = flowmeter._within_supply([row], 1e7, {"pressure_drop": "bar"}, left)[1]
     return len(left.errors), len(doubts)
 
 
 def left_out(count):
     """The refusal of a valve of 30 readings of which so many are slips."""
-    left = flowmeter.LeftOut(True)
+    left = flowmeter.LeftOut("f")
     for line in range(count):
         left.take("a", InputError("data.few_reverse", file="f", line=line))
     return refusal(lambda: left.sentences(["a"] * (30 - count)))

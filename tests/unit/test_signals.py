@@ -170,6 +170,15 @@ def test_transients_lie_between_command_changes():
     assert [window.stop for window in series.transients(t, ramp)] == [100]
 
 
+@pytest.mark.parametrize(
+    "marks, stretches",
+    [("", []), ("000", []), ("111", [[0, 3]]), ("1001101", [[0, 1], [3, 5], [6, 7]])],
+)
+def test_stretches_of_a_mask(marks, stretches):
+    mask = np.array([mark == "1" for mark in marks], bool)
+    assert series.stretches_of(mask).tolist() == stretches
+
+
 def test_correlation_has_its_sign_scale_and_time():
     u = np.random.default_rng(5).standard_normal(4000)
     x = np.roll(u, 3)

@@ -1,6 +1,7 @@
 """Recordings as other programs write them, by the libraries of their formats."""
 
 import gzip
+import json
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,6 +31,15 @@ def write_gzip(path: Path) -> None:
     rows = [f"{a},{b},{c},{d}" for a, b, c, d in zip(T, HEAD, supply, CURRENT)]
     text = "t [s],PT-101 cyl A [bar],Supply [bar],AO0 valve [mA]\n" + "\n".join(rows)
     path.write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
+def write_json(path: Path) -> None:
+    """A record a line, the supply in every tenth."""
+    lines = []
+    for n, (t, head, current) in enumerate(zip(T.tolist(), HEAD.tolist(), CURRENT.tolist())):
+        record = {"t [s]": t, "PT-101 cyl A [bar]": head, "AO0 valve [mA]": current}
+        lines.append(record | ({} if n % 10 else {"Supply [bar]": SUPPLY[n // 10].item()}))
+    path.write_text("\n".join(map(json.dumps, lines)), encoding="utf-8")
 
 
 def write_mdf(path: Path) -> None:
@@ -180,6 +190,7 @@ def write_bag(path: Path, plugin: str = "MCAP") -> None:
 WRITERS: dict[str, Callable[[Path], None]] = {
     "a.csv": write_text,
     "a.csv.gz": write_gzip,
+    "a.jsonl": write_json,
     "a.mf4": write_mdf,
     "a.tdms": write_tdms,
     "a.mat": write_mat,
@@ -223,12 +234,13 @@ def map_of(name: str) -> str:
     times = {
         "a.csv": ("Time (s)",),
         "a.csv.gz": ("t [s]",),
+        "a.jsonl": ("t [s]",),
         "a.h5": ("fast/time", "slow/time"),
         "a.parquet": ("time",),
         "a.npz": ("/time", "slow/time"),
         "a.xlsx": ("Time", "Time [s]"),
     }.get(name, ())
-    ends = " [bar]" if name in ("a.csv.gz", "a.parquet", "a.npz") else ""
+    ends = " [bar]" if name in ("a.csv.gz", "a.jsonl", "a.parquet", "a.npz") else ""
     supply = " [bar]" if name == "a.xlsx" else ends
     current = ends and " [mA]"
     lines = [f'"{time}" = "t [s]"' for time in times]

@@ -1,11 +1,12 @@
 """The recipes of flow maps, and of hydraulics from step logs."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.config.recipe.base import (
     ByParameter,
+    DataFiles,
     Recipe,
     ReplayedFiles,
     Supplied,
@@ -95,7 +96,7 @@ class FlowMapRecipe(Recipe):
     what: Literal["flow_map"]
     method: Literal["flowmeter", "steps"] = "flowmeter"
     rig: str
-    data: Annotated[tuple[str, ...], Field(min_length=1)]
+    data: DataFiles
     columns: AnyColumns = None
     calibration: tuple[CalibrationPoint, ...] = ()
     calibration_drop: Annotated[Value, Q("pressure_drop")] | None = None
@@ -104,3 +105,10 @@ class FlowMapRecipe(Recipe):
     pressure_error: Annotated[Value, Q("zero_error")] | None = None
     command_error: Annotated[Value, Q("hysteresis")] | None = None
     span: Annotated[Value, Q("span")] = Value(0.1)
+
+    @model_validator(mode="after")
+    def _readings_have_no_time(self) -> Self:
+        given = {key for item in self.data for key in item.model_fields_set}
+        if self.method == "flowmeter" and (odd := given - {"path", "columns", "note"}):
+            raise ValueError(message("config.readings_entry", key=min(odd)))
+        return self

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
@@ -150,13 +151,16 @@ class Rig(FileModel):
             area = min(cylinder.areas())
             for i, valve in enumerate(cylinder.valve):
                 reach = max(-float(valve.command_min), float(valve.command_max))
-                for j, edge in enumerate(valve.edge):
-                    speed = float(edge.flow_gain or 0.0) * reach * root / area
+                gains = {"flow_gain": reach * root, "compensated_gain": reach}
+                for (j, edge), key in product(enumerate(valve.edge), gains):
+                    gain = getattr(edge, key) or Value(0.0)
+                    speed = float(gain) * gains[key] / area
                     if speed > _FASTEST:
                         fields = {"edge": valve.edge_name(edge), "name": cylinder.name}
-                        text = message("config.edge_too_wide", speed=speed, **fields)
-                        place = ("cylinder", at, "valve", i, "edge", j, "flow_gain")
-                        raise Misplaced(text, *place)
+                        fields |= {"most": gain.like(key, float(gain) * _FASTEST / speed)}
+                        fields |= {"speed": speed, "fastest": _FASTEST, "key": key}
+                        text = message("config.edge_too_wide", **fields)
+                        raise Misplaced(text, "cylinder", at, "valve", i, "edge", j, key)
         return self
 
     def __repr__(self) -> str:

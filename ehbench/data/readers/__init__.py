@@ -6,6 +6,8 @@ file here with a function ``read(path, dialect) -> Source`` and a row in ``READE
 
 from __future__ import annotations
 
+import codecs
+import re
 import stat
 import warnings
 import zipfile
@@ -40,8 +42,11 @@ class Reader(NamedTuple):
 
 
 ZIP = b"PK\x03\x04"
+_BINARY = re.compile(rb"[\0-\x08\x0e-\x1f]")  # what no text holds, but for that of UTF-16
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 READERS = (
     Reader("text", (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".log"), "delimited"),
+    Reader("JSON", (".json", ".jsonl", ".ndjson"), "json_records", "", (b'{"', b"[{")),
     Reader("MDF", (".mf4", ".mdf", ".dat"), "mdf", "asammdf", (b"MDF     ", b"UnFinMF ")),
     Reader("TDMS", (".tdms",), "tdms", "nptdms", (b"TDSm",)),
     Reader("MAT", (".mat",), "mat", "", (b"MATLAB 5.0 MAT-file",)),
@@ -96,7 +101,7 @@ def reader_of(path: Path) -> Reader:
         head = b""
         if stat.S_ISREG(path.stat().st_mode):  # a pipe would keep the process waiting
             with path.open("rb") as file:
-                head = file.read(24)
+                head = file.read(512)
     except (FileNotFoundError, NotADirectoryError):
         raise LogError(message("data.no_file"), file=path) from None
     except (OSError, ValueError) as error:
@@ -104,7 +109,8 @@ def reader_of(path: Path) -> Reader:
         text = message("data.unreadable", reason=reason)
         raise LogError(text, file=shortened_path(path)) from None
     name = path.name.lower().removesuffix(".gz")
-    begins = [reader for reader in READERS if head.startswith(reader.magic)]
+    packed = b"".join(head.removeprefix(codecs.BOM_UTF8).split())  # JSON may have blanks anywhere
+    begins = [x for x in READERS if head.startswith(x.magic) or packed.startswith(x.magic)]
     if head.startswith(ZIP):
         try:
             with zipfile.ZipFile(path) as archive:
@@ -119,7 +125,10 @@ def reader_of(path: Path) -> Reader:
             raise LogError(text, file=path)
     ends = [reader for reader in READERS if name.endswith(reader.suffixes)]
     both = [reader for reader in begins if reader in ends]
-    for reader in (*both, *begins, *ends):
+    is_text = head.startswith(_UTF_16) or not _BINARY.search(head)
+    texts = [reader for reader in READERS[:2] if reader in ends] or READERS[:1]
+    texts = texts if ends and is_text else ()  # whatever they are called
+    for reader in (*both, *begins, *texts, *ends):
         return reader
     kind, known = path.suffix or path.name, ", ".join((".toml", *suffixes()))
     raise LogError(message("data.unknown_format", kind=kind, known=known), file=path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from collections.abc import Iterable
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,9 @@ def read(path: Path, dialect: Dialect) -> Source:
     with zipfile.ZipFile(path) as packed:
         fixed = sum(item.file_size for item in packed.infolist())
     refuse_beyond(_SWELLS * fixed, "reading it")
-    book: Any = load_workbook(path, read_only=True, data_only=True)
+    # a path by its ending, an open file by its content
+    file = path.open("rb")
+    book: Any = load_workbook(file, read_only=True, data_only=True)
     tables, losses = [], []
     plain = Dialect(_TAB, None, dialect.skip, dialect.unit_row)
     try:
@@ -44,22 +47,28 @@ def read(path: Path, dialect: Dialect) -> Source:
                 name, cell = (f"{sheet.title}!{at.decode()}" for at in (column, column + row))
                 losses.append(message("data.never_calculated", name=name, cell=cell))
             sheet.reset_dimensions()  # or each row is as wide as the farthest cell
-            lines = [_TAB.join(map(_shown, row)) for row in sheet.iter_rows()]
+            lines = [text_line(map(_shown, row)) for row in sheet.iter_rows()]
             try:
                 tables += tables_of(lines, plain, sheet.title)[0]
             except LogError:  # a sheet of words
                 continue
     finally:
         book.close()
+        file.close()
     return Source(tuple(tables), losses=tuple(losses))
 
 
-def _shown(cell: Any) -> str:
-    """A cell as a text file would have it, in percent where the sheet shows it so."""
+def _shown(cell: Any) -> Any:
+    """What a cell holds, in percent where the sheet shows it so."""
     value = cell.value
     if isinstance(value, (int, float)) and "%" in cell.number_format:
         return f"{_text(100.0 * value)} %"
-    return _text(value)
+    return value
+
+
+def text_line(cells: Iterable[Any]) -> str:
+    """A row of values as a line of text between tabs."""
+    return _TAB.join(map(_text, cells))
 
 
 def _text(cell: Any) -> str:

@@ -7,15 +7,16 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import compress, islice
+from itertools import compress, islice, zip_longest
 
+from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers.clock import is_time
-from ehbench.data.readers.table import Dialect
+from ehbench.data.readers.table import Dialect, unit_in
 from ehbench.data.text import is_hole, measured, number, split
-from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.errors import LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened
-from ehbench.vocabulary.units import absolute_unit, named_unit
+from ehbench.vocabulary.units import absolute_unit, factor, named_unit
 
 _REMARKS = ("#", "%", "//")
 # what the first cell of a row above the numbers calls it
@@ -25,7 +26,19 @@ _UNIT_HEADS = (
     "vertical units",
 )
 _CLOCK_HEADS = ("sampletime[ms]",)  # above a time, which the names call a name
-_STEP_HEADS, _START_HEADS = ("delta_x", "hresolution"), ("x0", "hoffset")  # both in seconds
+# what facts above the numbers call the clock of rows: in seconds, or a rate in hertz
+_STEP_HEADS = (
+    *("delta_x", "hresolution", "increment", "x increment", "xincrement", "tinc", "dt", "clock"),
+    *("sampling period", "sample period", "sampling interval", "sample interval", "sample time"),
+    *("abtastzeit", "abtastintervall"),
+)
+_RATE_HEADS = (
+    *("sample rate", "sampling rate", "samplerate", "sample frequency", "sampling frequency"),
+    *("abtastrate", "abtastfrequenz"),
+)
+_START_HEADS = ("x0", "hoffset", "start", "t0", "x origin", "xorigin")
+_TIME_NAMES, _TIME_UNITS = (*TIME_NAMES, "x_value"), ("s", "ms", "us", "ns", "min", "h", "d")
+_FACT = re.compile(r"([^:=]+)[:=](.*)")  # a title and what it says
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 # how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
 _CLOCK_FORM = re.compile(
@@ -148,8 +161,6 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         strict -= 1  # its title calls this row the first of the numbers
     strict = 0 if all(fits(n, 1.0, True) for n in at[:strict]) else strict  # facts beside numbers
     first, rows = at[strict], at[strict:]
-    step = _fact(lines[:first], marks, _STEP_HEADS) if kinds[0] == "blank" else None
-    clock = (_fact(lines[:first], marks, _START_HEADS) or 0.0, step) if step else None
     titled = _titled(lines, range(first), separator, len(kinds), _UNIT_HEADS)
     if dialect.skip is not None:
         above = [n for n in range(skip, first) if lines[n].strip(" \t" + separator)][:2]
@@ -157,12 +168,13 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         last = split(lines[above[1]], separator) if len(above) > 1 else []
         below = below if titled is None or any(map(_is_unit, last)) else titled
         below = below if dialect.unit_row else None
-        return TextLayout(above[0] if above else None, below, first, kinds, rows, clock)
+        header = above[0] if above else None
+        return _clocked(TextLayout(header, below, first, kinds, rows), lines, marks)
     header, units = _heads(lines, range(skip, first), separator, len(kinds))
     units = titled if units is None else units
     if dialect.unit_row is False:
         header, units = (header if units in (None, titled) else units), None
-    return TextLayout(header, units, first, kinds, rows, clock)
+    return _clocked(TextLayout(header, units, first, kinds, rows), lines, marks)
 
 
 def _without_numbers(lines: Sequence[str], rows: Sequence[int]) -> LogError:
@@ -186,13 +198,43 @@ def _titled(
     return None
 
 
-def _fact(lines: Sequence[str], marks: tuple[str, str], titles: Sequence[str]) -> float | None:
-    """The number that the last line with a title says of all columns; None of several or none."""
-    for line in reversed(lines):
-        title, *cells = split(line, marks[0])
-        if _label(title) in titles:
-            values = {number(cell, marks[1]) for cell in cells if cell}
-            return values.pop() if len(values) == 1 else None
+def _clocked(layout: TextLayout, lines: Sequence[str], marks: tuple[str, str]) -> TextLayout:
+    """The layout with the clock of its rows, where the lines above say it and no column is one."""
+    names, units = names_of(lines, layout, marks[0]), units_of(lines, layout, marks[0])
+    for kind, name, unit in zip_longest(layout.kinds, names, units, fillvalue=""):
+        is_time = name.lower() in _TIME_NAMES or (unit or unit_in(name)) in _TIME_UNITS
+        if kind == "times" or (kind == "numbers" and is_time):
+            return layout
+    lines = lines[: layout.first]
+    step, rate = _fact(lines, marks, _STEP_HEADS, "s"), _fact(lines, marks, _RATE_HEADS, "Hz")
+    step = 1.0 / rate if rate and not step else step
+    start = _fact(lines, marks, _START_HEADS, "s") or 0.0
+    return replace(layout, clock=(start, step) if step and step > 0.0 else None)
+
+
+def _fact(
+    lines: Sequence[str], marks: tuple[str, str], titles: Sequence[str], unit: str
+) -> float | None:
+    """The number, in a unit, that the last line with a title says of all columns: beside or below
+    the title, or in its own cell behind a mark. None of several or none.
+    """
+    separator, decimal = marks
+    for line, below in reversed([*zip(lines, [*lines[1:], ""])]):
+        cells, under = (split(bare(text), separator) for text in (line, below))
+        facts = [(cells[0], cells[1:]), *((title, [cell]) for title, cell in zip(cells, under))]
+        each = (_FACT.fullmatch(bare(text)) for text in (line, *cells))
+        facts += [(match[1], [match[2]]) for match in each if match]
+        for title, values in facts:
+            if _label(_BRACKETED.sub("", title)) not in titles:
+                continue
+            texts = (text.strip(f' "{separator}') for text in values)
+            pairs = {measured(text, decimal) or (text, unit_in(title)) for text in texts if text}
+            known = {(number(text, decimal), of or unit) for text, of in pairs}
+            if len(known) == 1 and (value := known.pop())[0] is not None:
+                try:
+                    return value[0] * factor(value[1], unit)
+                except UnitError:
+                    return None
     return None
 
 
@@ -216,6 +258,8 @@ def _kinds_of(
             every = every or [split(row, separator) for row in rows]
             filled = (row[at] for row in every if len(row) == width and row[at])
             some = Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
+            lone = some.total() < 2  # a fact, and no signal
+            some = Counter() if lone else some
             kinds += some if at or "numbers" in some or "times" in some else Counter()
         holes = kinds.pop("holes", 0)
         results.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
@@ -312,13 +356,14 @@ def sections_of(
     """
 
     def layout(first: int, end: int, dialect: Dialect) -> TextLayout | None:
-        """Of a table; None of facts, whose first column are words."""
+        """Of a table; None of facts, whose first column are words, or that are one row."""
         try:
             result = layout_of(lines[first:end], marks, dialect)
         except LogError:
             return None
         few = end - first - result.first < _TOGETHER
-        return None if few and result.kinds[0] == "words" else result
+        facts = len(result.rows) < 2 or (few and result.kinds[0] == "words")
+        return None if facts else result
 
     def heads(first: int, of: TextLayout) -> list[str]:
         """The lines of its names and units."""

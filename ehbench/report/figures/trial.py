@@ -26,6 +26,7 @@ from ehbench.report.style import (
 )
 from ehbench.report.trial_captions import ESTIMATES
 from ehbench.report.words import axis, capital, number, shown, title_of, words
+from ehbench.signals.series import stretches_of
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 from ehbench.vocabulary.quantities import GAUGES
 
@@ -106,9 +107,8 @@ def plot_channel(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
 def stretches(t: np.ndarray, mask: np.ndarray, runs: int = 700) -> list[tuple[float, float]]:
     """(start, length) where ``mask`` holds; gaps shorter than 1/``runs`` are closed."""
     shortest = float(t[-1] - t[0]) / runs
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     spans: list[list[float]] = []
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in stretches_of(mask):
         first, last = float(t[start]), float(t[min(stop, t.size - 1)])
         if spans and first - spans[-1][1] < shortest:
             spans[-1][1] = last
