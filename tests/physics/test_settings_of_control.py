@@ -349,7 +349,7 @@ def probe():
     """The drop at which edges of a path compare."""
     circuit: Any = Stub(edges=Row(np.zeros(1, int), np.ones(1, int)), maps=None)
     with answers(functions, preload=0.0):
-        work = lambda: functions._serving(circuit, np.zeros(1, int), (0, 1))  # noqa: E731
+        work = lambda: functions._serving(circuit, np.zeros(1, int), (0, 1), -1)  # noqa: E731
         return first_call(functions, "widest", work)[2]
 
 
