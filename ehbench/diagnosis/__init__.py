@@ -128,7 +128,7 @@ class _Search:
         tried = {fault: slopes[fault] for fault in ranked[:TRIED] if promises[fault] > 0.0}
         if quiet and not any(self._counts(promises[fault], self.now) for fault in tried):
             return []
-        reached = self._best(dict.fromkeys(f for f in ranked[TRIED:] if f.row.trials) | tried)
+        reached = self._best(tried | {f: slopes[f] for f in ranked[TRIED:] if f.row.trials})
         nearest = sorted(reached, key=lambda fault: reached[fault][1])[:REFINED]
         reached |= self._refined({fault: reached[fault] for fault in nearest})
         gains = {fault: self.now - cost for fault, (_, cost, _) in reached.items()}

@@ -5,6 +5,7 @@ from types import SimpleNamespace as Stub
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from ehbench.identification.covariance import (
@@ -271,7 +272,7 @@ def test_windows_give_the_error_of_their_median(errors, each, std, role):
     found, quantile, count = Matching._scatter(asked, 0, np.array(errors), -2.0)  # pyright: ignore[reportArgumentType]
     assert found == pytest.approx(std / 2.0) and count == np.isfinite(errors).sum()
     assert quantile == pytest.approx(
-        1.96 if count == 1 else student.ppf(0.975, count - 1), rel=1e-6
+        norm.ppf(0.975) if count == 1 else student.ppf(0.975, count - 1), rel=1e-6
     )
 
 

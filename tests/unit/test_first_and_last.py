@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from ehbench.data.record import Record
 from ehbench.flow_maps.shape import valley
@@ -101,7 +102,7 @@ def test_one_window_tells_a_parameter_by_its_own_error_alone():
     work.search = [Stub(row=Stub(mode_role="frequency"))]
     work.windows = [Stub(recorded=ring)] * 2
     one, two = np.array([0.1, math.nan]), np.array([0.1, 0.1])
-    assert work._scatter(0, one, 0.5) == pytest.approx((0.02, 1.96, 1))
+    assert work._scatter(0, one, 0.5) == pytest.approx((0.02, norm.ppf(0.975), 1))
     std, quantile, count = work._scatter(0, two, 0.5)
     # of two windows, Student's t with one degree of freedom at 95 %
     assert (std, count) == (pytest.approx(0.02 / math.sqrt(2.0)), 2)

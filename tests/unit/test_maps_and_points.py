@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
@@ -59,7 +60,7 @@ def test_a_flow_that_warms_is_told_by_its_slope_and_interval(rise):
     line: Any = linregress(warm, share)
     told: Any = note
     assert told.fields["share"] == pytest.approx(1000.0 * line.slope)
-    assert told.fields["half"] == pytest.approx(1000.0 * 1.96 * line.stderr)
+    assert told.fields["half"] == pytest.approx(1000.0 * norm.ppf(0.975) * line.stderr)
 
 
 @pytest.mark.parametrize("pressure", [1e6, 19e6])
@@ -228,7 +229,9 @@ def test_a_calibration_point_is_the_mean_over_the_upper_half_of_its_drops(
     flow = 0.5 * command * (low + high)
     assert item.verdict == verdict and (item.drop_low, item.drop_high) == (low, high)
     assert item.flow == pytest.approx(flow)
-    assert (item.low, item.high) == pytest.approx((flow - 1.96 * std, flow + 1.96 * std), rel=1e-4)
+    assert (item.low, item.high) == pytest.approx(
+        (flow - norm.ppf(0.975) * std, flow + norm.ppf(0.975) * std), rel=1e-4
+    )
     assert (item.least, item.most) == pytest.approx((command * low, command * high))
 
 
