@@ -10,7 +10,8 @@ import pytest
 
 from ehbench.config.recipe import Thresholds
 from ehbench.data.record import Record
-from ehbench.diagnosis import Structure
+from ehbench.diagnosis import Structure, cases
+from ehbench.diagnosis.faults.scales import Scales
 from ehbench.frequency_response.response import Estimate, Response
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED
@@ -509,3 +510,56 @@ def test_a_cause_rejects_that_makes_most_of_what_a_fit_leaves():
     found = judge.Validation("slide", True, (), (), {}, ()).with_fit(against)
     assert found.reasons == (notes[1],) and found.reservations == (notes[0], "lean")
     assert not found.accepted
+
+
+# --- residual diagnosis
+
+
+@pytest.mark.parametrize(
+    ("gain", "noise", "independent", "counted"),
+    [
+        (99.0, 0.0, 1e4, False),  # less than a tenth of the excess
+        (101.0, 0.0, 290.0, True),  # 290 ln(1000/899) = 30.9
+        (101.0, 0.0, 280.0, False),
+        (61.0, 900.0, 500.0, True),  # 500 ln(1000/939) = 31.5
+        (59.0, 900.0, 1e4, False),  # half of it is below 30
+        (61.0, 900.0, 470.0, False),
+        (1000.0, 0.0, 1.2, True),  # all of it: 1.2 ln(1e12) = 33.2
+    ],
+)
+def test_a_cause_counts_beyond_chance_and_a_trifle(gain, noise, independent, counted):
+    assert cases.counts(gain, 1000.0, noise, independent) == counted
+
+
+def test_a_case_counts_its_blocks_by_the_memory_of_each_channel(rng):
+    """A first-order process with the pole a lasts (1 + a)/(1 − a) samples."""
+    slow = np.zeros(4000)
+    for i, step in enumerate(rng.normal(size=3999)):
+        slow[i + 1] = 0.8 * slow[i] + step
+    white = rng.normal(size=1000)
+    some: Any = Stub(recorded={"x": slow, "v": white, "q": white})
+    count = cases.Case.independent(some, np.concatenate([slow, white, white]))
+    assert count == pytest.approx(4000 / 9.0 + 2 * 1000, rel=0.15)
+    rate = lambda tick: cases.Case.block.func(Stub(record=Stub(sample_time=tick)))
+    assert [rate(tick) for tick in (0.02, 0.004, 0.001)] == [1, 1, 5]
+    empty: Any = Stub(recorded={})
+    assert cases.Case.left(empty, empty).shape == (0,)
+    flat = Record(np.arange(5.0), {"x": np.ones(5), "v": np.linspace(0.0, 1.0, 5)})
+    assert [cases.Case._moves(Stub(record=flat), name) for name in "xvq"] == [False, True, False]
+
+
+def test_scales_of_a_log_tell_a_drive_by_commands_of_several_sizes():
+    log = {"press.servo.command": np.array([0.0, 1.0, -5.0, 5.0]), "x": np.array([1.0, 5.0])}
+    some: Any = Stub(cylinder=Stub(name="press"), records=[log], reach=5.0, channel="x")
+    some.valve = Stub(name="servo", given=(-10.0, 10.0))
+    graded = lambda: Scales.graded.__get__(some)
+    assert graded() and Scales.spread.func(some) == 2.0
+    some.valve.given = (0.0, 10.0)
+    assert graded()
+    some.valve.given = (-10.0, 0.0)
+    assert graded()
+    some.valve.given = (1.0, 10.0)
+    assert not graded()
+    some.valve.given, log["press.servo.command"] = (-10.0, 10.0), np.array([0.0, 5.0, -5.0])
+    log["x"] = np.ones(3)
+    assert not graded() and Scales.spread.func(some) == 1.0
