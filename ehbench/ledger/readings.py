@@ -132,8 +132,8 @@ def noise_of(values: np.ndarray) -> float:
         return 0.0
     bend = np.abs(np.diff(values, 2))
     bend = np.minimum(bend, np.quantile(bend, 0.9))
-    least = least_step(values) / math.sqrt(12.0)
-    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), least)
+    rounding = least_step(values) / math.sqrt(12.0)
+    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), rounding)
 
 
 def least_step(values: np.ndarray) -> float:

@@ -97,8 +97,8 @@ def begins_elsewhere(record: Record, model: Model, rest: int) -> Iterator[Messag
     ``rest`` samples of a log."""
     if not isinstance(model, FmuModel):
         return
-    least = {channel: y[:LEAST_SAMPLES] for channel, y in record.channels.items()}
-    part = replace(record, t=record.t[:LEAST_SAMPLES], channels=least)
+    short = {channel: y[:LEAST_SAMPLES] for channel, y in record.channels.items()}
+    part = replace(record, t=record.t[:LEAST_SAMPLES], channels=short)
     try:
         first = model.replay(part, start=model.rest_start(record, rest))
     except EhbenchError:  # which ends what the log is for

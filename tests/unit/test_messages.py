@@ -85,6 +85,17 @@ def test_numbers_below_a_million_have_no_exponent(value, shown):
     assert f"-{shown.split()[0]} ±" in drift
 
 
+def test_commands_that_texts_advise_are_there():
+    from typer.main import get_command
+
+    from ehbench.app.cli import app
+
+    advised = re.compile(r"ehbench ([a-z][a-z-]+) (?=FILE|\{|reports/|[\w/]+\.toml)")
+    files = (path for kind in ("*.py", "*.toml") for path in PACKAGE.rglob(kind))
+    words = {word for path in files for word in advised.findall(path.read_text(encoding="utf-8"))}
+    assert {"check", "map"} <= words <= set(get_command(app).commands)  # type: ignore[attr-defined]
+
+
 def test_settings_list_themselves():
     from dataclasses import dataclass
 

@@ -25,7 +25,7 @@ _KEY = re.compile(
 _QUOTED = re.compile(r"""["']([^"'\n]*[\udc80-\udcff][^"'\n]*)["']""")
 _LONE = re.compile("[\udc80-\udcff]")
 _WRITTEN = 'a line is like key = "1.5 mm", a table begins with [name]'
-_NO_RECIPE = "recipes and rig files end in .toml; ehbench inspect FILE shows what is in a log"
+_NO_RECIPE = "recipes and rig files end in .toml; ehbench check FILE says what is in a log"
 _REMEDIES = {
     "string": "close the quotes that were opened",
     "Invalid value": 'a value with a unit is in quotes, like "1.5 mm"',
