@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 from typing import NamedTuple, TypeVar
 
 from ehbench.data.record import Record
@@ -54,12 +55,19 @@ def map_threads(
             raise
 
     others = min(workers or cores(), len(tasks)) - 1
-    if others < 1:
+    futures = [_threads().submit(work) for _ in range(others)]
+    try:
         work()
-        return list(results.values())
-    with ThreadPoolExecutor(others) as pool:
-        futures = [pool.submit(work) for _ in range(others)]
-        work()
+    finally:  # those that found no free thread have nothing left to do
+        wait([future for future in futures if not future.cancel()])
     for future in futures:
-        future.result()
+        if not future.cancelled():
+            future.result()
     return [results[i] for i in range(len(tasks))]
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Threads that stay: a fit calls for them thousands of times, and to start one takes as long as
+    a short simulation."""
+    return ThreadPoolExecutor(cores())
