@@ -68,7 +68,7 @@ class Quality:
         trip = " / ".join(f"{1e3 * value:.3g}" for value in self.round_trip)
         return [
             ("ticks", f"{self.ticks} at {self.rate:.4g} Hz"),
-            ("late ticks", f"{self.late} ({self.late_share:.2%})"),
+            ("late ticks", f"{self.late} ({100 * self.late_share:.2f} %)"),
             ("lost samples", str(self.lost)),
             ("round trip, median / 99.9 % / longest", f"{trip} ms"),
             (

@@ -38,10 +38,13 @@ class Message(str):
 
 
 class _Numbers(string.Formatter):
-    """`str.format`, but numbers below a million without an exponent: 110, never 1.1e+02."""
+    """`str.format`, but numbers below a million without an exponent, 110 and never 1.1e+02, and a
+    space before %, as before other units."""
 
     def format_field(self, value: Any, spec: str) -> str:
         text = super().format_field(value, spec)
+        if spec.endswith("%"):
+            return f"{text[:-1]} %"
         usual = spec.endswith("g") and "e+0" in text and abs(value) < 1e6
         return f"{float(text):{'+' * ('+' in spec)}.0f}" if usual else text
 

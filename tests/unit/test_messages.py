@@ -85,6 +85,10 @@ def test_numbers_below_a_million_have_no_exponent(value, shown):
     assert f"-{shown.split()[0]} ±" in drift
 
 
+def test_a_share_is_written_with_a_space_before_its_sign():
+    assert "82 % of v" in message("validation.unexplained", log="a", share=0.82, channel="v")
+
+
 def test_commands_that_texts_advise_are_there():
     from typer.main import get_command
 
