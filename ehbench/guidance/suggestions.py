@@ -313,14 +313,18 @@ class _Trials:
         there was no time to look at).
         """
         results: list[tuple[float, Hypothesis]] = []
-        untried, without = [], self._foreseen(now, now.setup, ({},))
+        untried: list[str] = []
+        _, base = self._prepared(now.setup, 0)
+        without, state = foreseen(base, now.numbers[0])
         for change in left:
             if time.process_time() > self.until:
                 untried.append(change.name)
                 continue
             self.report(f"suggest: what {change.name} promises", self._spent)
             try:
-                cost = self._foreseen(now, now.setup.with_change(change), change.starts)
+                _, problem = self._prepared(now.setup.with_change(change), 0)
+                starts = [{**now.numbers[0], **start} for start in change.starts]
+                cost = min(foreseen(problem, start, (base, state))[0] for start in starts)
             except IMPOSSIBLE:
                 continue
             rise = (cost - min(without, now.costs[0])) / len(self.channels)
@@ -331,16 +335,6 @@ class _Trials:
     def _spent(self) -> float:
         """The share of the time that is spent."""
         return (time.process_time() - self.begun) / max(self.until - self.begun, 1e-9)
-
-    def _foreseen(self, now: Tried, setup: Setup, starts: Sequence[Mapping[str, float]]) -> float:
-        """The least cost that a fit should come to, were all linear, from some starts beside the
-        numbers of another.
-
-        Raises:
-            EhbenchError, ValueError, ArithmeticError: there is no such rig, or no such fit.
-        """
-        _, problem = self._prepared(setup, 0)
-        return min(foreseen(problem, {**now.numbers[0], **start}) for start in starts)
 
     def _first(self) -> Tried:
         """The fit as the recipe has it, from a look over the whole range of its parameters."""

@@ -109,10 +109,19 @@ def descend(problem: Problem, values: Mapping[str, float]) -> tuple[State, float
     return state, level(problem, state.here.residuals)
 
 
-def foreseen(problem: Problem, values: Mapping[str, float]) -> float:
-    """What `descend` would come to if the problem were as linear as it is at its start."""
-    state = evaluate(problem, at_values(problem, values))
-    state = weighed(problem, state)
+def foreseen(
+    problem: Problem, values: Mapping[str, float], known: tuple[Problem, State] | None = None
+) -> tuple[float, State]:
+    """(what `descend` would come to if the problem were as linear as it is at its start, the state
+    there).
+
+    Args:
+        known: another problem over the same logs, and its state, whose derivatives serve where
+            both simulate a log alike.
+    """
+    state = weighed(problem, evaluate(problem, at_values(problem, values)))
+    if known is not None:
+        _take_over(problem, state, *known)
     blocks = linearised(problem, state, state.free)
     theta, shifts, _ = step(problem, state, blocks, DESCENT.damping_min)
     move = (theta - state.theta)[list(state.free)]
@@ -122,7 +131,26 @@ def foreseen(problem: Problem, values: Mapping[str, float]) -> float:
         * by_channel(state.scales, log)
         for block, log, new, old in pairs
     ]
-    return level(problem, residuals)
+    return level(problem, residuals), state
+
+
+def _take_over(problem: Problem, state: State, other: Problem, known: State) -> None:
+    """Derivatives by the same numbers at another problem's state, of logs simulated alike there."""
+    here, there = state.here, known.here
+    for k, (log, old) in enumerate(zip(problem.logs, other.logs, strict=True)):
+        limit = PROBLEM.faint * by_channel(problem.spread, log)
+        if log.channels != old.channels or np.any(
+            np.abs(here.residuals[k] - there.residuals[k]) > limit
+        ):
+            continue
+        for i, coordinate in enumerate(problem.search):
+            if coordinate in other.search:
+                column = there.columns.get((other.search.index(coordinate), k))
+                here.columns.update({} if column is None else {(i, k): column})
+        for j, number in enumerate(log.start.uncertain):
+            if number in old.start.uncertain:
+                column = there.start_columns.get((k, old.start.uncertain.index(number)))
+                here.start_columns.update({} if column is None else {(k, j): column})
 
 
 def level(problem: Problem, residuals: Sequence[np.ndarray]) -> float:

@@ -178,7 +178,19 @@ def test_what_a_descent_comes_to_is_foreseen_where_it_is_linear():
     assert reached == pytest.approx(level(asked, state.here.residuals))
     noise = sum(2.0 * math.log(0.02 * asked.spread[c]) for c in ("press.x", "press.v"))
     assert reached == pytest.approx(noise, abs=0.2)
-    assert foreseen(asked, {NAMES[0]: 1.002e9, NAMES[2]: 0.0501}) == pytest.approx(reached, abs=0.1)
+    values = {NAMES[0]: 1.002e9, NAMES[2]: 0.0501}
+    assert foreseen(asked, values)[0] == pytest.approx(reached, abs=0.1)
+
+
+@pytest.mark.parametrize(("factor", "anew"), [(1.0, False), (1.3, True)])
+def test_derivatives_of_another_problem_serve_where_it_simulates_alike(factor, anew):
+    values = {NAMES[0]: 1.002e9, NAMES[2]: 0.0501}
+    other, asked, plain = problem(), problem(), problem()
+    _, state = foreseen(other, values | {NAMES[0]: factor * 1.002e9})
+    reached, _ = foreseen(asked, values, (other, state))
+    assert reached == foreseen(plain, values)[0]
+    efforts = [item.simulator.effort.evaluations for item in (asked, plain)]
+    assert efforts[0] == (efforts[1] if anew else len(asked.logs)) > 0
 
 
 def test_a_bounded_step_is_the_least_of_its_quadratic():
