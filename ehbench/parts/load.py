@@ -102,7 +102,19 @@ FAULTS = (
     Fault("spring", ("stiffness",), step=0.05, rank=5),
     Fault("spring", ("free_length",), step=0.05, rank=5),
 )
-# a spring that the rig file leaves out, free at mid-stroke until a fit moves that
+# forces that the rig file leaves out: a constant one, and a spring, free at mid-stroke until a fit
+# moves that
+PUSH = Fault(
+    "outer force",
+    ("force.force",),
+    unit="force",
+    step=1.0e-3,
+    low=-0.5,
+    high=0.5,
+    rank=5,
+    table="force",
+    adds={"kind": "constant", "force": Amount((0.0,), "force", "N")},
+)
 SPRING = Fault(
     "outer spring",
     ("force.stiffness", "force.free_length"),

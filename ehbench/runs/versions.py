@@ -15,11 +15,11 @@ METHODS: Mapping[str, int] = {
     "plant": 2,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 5,
-    "output_error": 7,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 8,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 8,
-    "validation": 7,
+    "diagnosis": 9,
+    "validation": 8,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it

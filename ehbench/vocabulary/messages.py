@@ -52,6 +52,11 @@ class _Numbers(string.Formatter):
 _NUMBERS = _Numbers()
 
 
+def digits(value: float, count: int) -> str:
+    """A number to so many digits, as messages have it."""
+    return _NUMBERS.format_field(value, f".{count}g")
+
+
 @cache
 def templates(part: str) -> Mapping[str, Mapping[str, str]]:
     """The entries of one file of the catalogue: by name, ``text`` and ``hint``."""

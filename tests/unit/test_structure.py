@@ -148,6 +148,23 @@ def test_a_number_of_an_outer_spring_is_named(number):
         assert [item.about for item in results[:1]] == expected, results
 
 
+def test_a_constant_force_that_nobody_wrote_down_is_named():
+    """With its size in the line for the rig file."""
+    log = virtual_log(
+        "slide_servo",
+        slide(force=[{"kind": "constant", "force": "-300 N"}]),
+        "steps",
+        5,
+        duration=2.0,
+        share=0.3,
+    )
+    model = Model.of(shipped("slide_servo"))
+    first, *_ = ask([Case("log", log, model, commanded(model, log))]).findings
+    assert (first.kind, first.about) == ("outer force", "press")
+    size = re.search(r'force = \[\{ kind = "constant", force = "(.*) N" \}\]', first.remedy)
+    assert size is not None and float(size[1]) == pytest.approx(-300.0, abs=20.0)
+
+
 @pytest.mark.parametrize(
     ("name", "factor"),
     [("bulk_modulus", 1.2), ("carriage.damping", 2.0), ("carriage.mass", 1.1)],

@@ -23,7 +23,7 @@ from ehbench.parts.valve.law import DynamicsTable
 from ehbench.vocabulary import units
 from ehbench.vocabulary.errors import InputError, UnitError, nearest
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import digits, message
 from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 from ehbench.vocabulary.units import factor, from_si
@@ -246,10 +246,12 @@ class Rig(FileModel):
         given = self.display.get(word) or of_kind(self.display) or typed.get(name)
         return given or typed.get(word) or of_kind(supply) or row.display
 
-    def shown(self, name: str, value: float, digits: int = 4) -> str:
-        """A value [SI] of a quantity, channel or parameter in the unit that people see."""
+    def shown(self, name: str, value: float, count: int = 4) -> str:
+        """A value [SI] of a quantity, channel or parameter, in the unit that people see, to
+        ``count`` digits.
+        """
         unit = self.unit_of(name)
-        number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.{digits}g}"
+        number = digits(float(from_si(value, unit, VOCABULARY[name.rsplit(".", 1)[-1]])), count)
         return number if unit == "dimensionless" else f"{number} {unit}"
 
     def text(self, name: str, value: float, decimals: int, sign: str = "") -> str:

@@ -250,7 +250,7 @@ class Hypothesis:
         if self.kind == "late command":
             return message("faults.written_late", **fields)
         if self.edits and len(self.readings) != 1:
-            block = self.rig_lines(rig)
+            block = self.rig_lines(rig, delta)
             lines = "; ".join(block).replace("# in ", "").replace("\n", " ")
             return message("faults.add_lines", lines=lines, block="\n".join(block))
         if self.edits or not self.numbers:
@@ -296,10 +296,17 @@ class Hypothesis:
             lines.append(f'[[sensor]] channel = "{sensor.channel}", {given}')
         return tuple(lines)
 
-    def rig_lines(self, rig: Rig) -> tuple[str, ...]:
-        """What it adds to the rig file: where, and the keys below, one a line."""
-        results = []
+    def rig_lines(self, rig: Rig, delta: float | None = None) -> tuple[str, ...]:
+        """What it adds to the rig file: where, and the keys below, one a line; numbers as where a
+        search begins, or of a fault of size δ.
+        """
+        results, found = [], {}
+        if delta is not None:
+            shown = [(n.name, rig.shown(n.name, n.at(delta), 5)) for n in self.numbers if n.unit]
+            found = {name.rpartition(".")[2]: value for name, value in shown}
+            found = found if len(found) == len(shown) else {}  # several alike, each with its own
         for place, table, content, also in self.edits:
+            content = _with_values(content, found)
             keys, whole = content, not table or table in content
             where = message("faults.in_table", where=_where(rig, place))
             if not whole and any(isinstance(key, int) for key in place):
@@ -327,6 +334,18 @@ def _mutable(tables: Any) -> Any:
     if isinstance(tables, Mapping):
         return {key: _mutable(value) for key, value in tables.items()}
     return [_mutable(table) for table in tables] if isinstance(tables, list | tuple) else tables
+
+
+def _with_values(tables: Any, values: Mapping[str, str]) -> Any:
+    """Nested tables with other values of some keys."""
+    if isinstance(tables, list):
+        return [_with_values(table, values) for table in tables]
+    if not isinstance(tables, Mapping):
+        return tables
+    leaves = {
+        key: values[key] for key in tables.keys() & values if not isinstance(tables[key], list)
+    }
+    return {key: leaves.get(key) or _with_values(item, values) for key, item in tables.items()}
 
 
 def _where(rig: Rig, place: Sequence[Any]) -> str:
