@@ -20,6 +20,7 @@ import numpy as np
 
 from ehbench.config.recipe import FlowMapRecipe, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.many import map_threads
 from ehbench.plant.model import Model, simulate
@@ -288,13 +289,7 @@ def fitting(rig: Rig) -> Iterator[Row]:
     logs = []
     for index, command in enumerate(commands):
         built = simulate(rig, command, 3.0)
-        channels = {
-            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in built.channels.items()
-            if "command" not in name
-        }
-        retained = {name: built[name] for name in built.channels if name.endswith(".command")}
-        logs.append((f"log_{index}", type(built)(built.t, channels | retained, built.meta)))
+        logs.append((f"log_{index}", _noisy(built, rng)))
     truth = {
         name: float(rig.parameters()[name])
         for name in ("bulk_modulus", *(f"{joint}.joint_damping" for joint in rig.joint_names))
@@ -332,13 +327,7 @@ def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
         volts["boom.ht"] = 3.5 * down
         given = {"posture": {"boom": "250 mm"}, "payload": load, "rate": rate, "step": AUTO}
         built = simulate(rig, volts, 31.0, **given)
-        channels = {
-            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in built.channels.items()
-            if "command" not in name
-        }
-        retained = {f"{name}.command": built[f"{name}.command"] for name in volts}
-        logs.append((f"log {load}", type(built)(built.t, channels | retained, built.meta)))
+        logs.append((f"log {load}", _noisy(built, rng)))
     known = rig.parameters()
     gains = [f"boom.{valve}.flow_gain" for valve in ("sh", "rt", "sr", "ht")]
     names = ["bulk_modulus", "boom.joint_damping", *gains]
@@ -360,20 +349,13 @@ def stiff_fitting(friction: float = 7e3, mass: float = 20.0) -> Iterator[Row]:
     rig = rig.with_values({"carriage.mass": mass, "press.friction_coulomb": friction})
     t, rng = np.arange(31_001) / 1000.0, np.random.default_rng(1)
     u = 1.5 * np.sign(np.sin(2.0 * np.pi * t / 3.1)) * (np.sin(2.0 * np.pi * t / 1.55) > 0.0)
-    built = simulate(rig, {"press.servo": u}, 31.0, step=AUTO)
-    channels = {
-        name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-        for name, y in built.channels.items()
-        if "command" not in name
-    }
-    channels["press.servo.command"] = built["press.servo.command"]
+    log = _noisy(simulate(rig, {"press.servo": u}, 31.0, step=AUTO), rng)
     known = rig.parameters()
     names = ["bulk_modulus", "press.friction_coulomb"]
     names += [name for name in known if name.endswith(".flow_gain")]
     start = {name: float(known[name]) * 1.3 ** (-1) ** k for k, name in enumerate(names)}
     start["press.leakage_internal"] = 1e-13
     began = time.perf_counter()
-    log = type(built)(built.t, channels, built.meta)
     options = FitOptions(start=start, upper={"press.friction_coulomb": 5.0 * friction})
     identify_hydraulics(rig, [("log", log)], list(start), options)
     took = time.perf_counter() - began
@@ -397,13 +379,7 @@ def many_fitting(seconds: float = 25.0, rate: float = 100.0) -> Iterator[Row]:
             u[: round(rate)] = 0.0
             u -= np.where(t > 1.0, np.mean(u[t > 1.0]), 0.0)
         built = simulate(rig, volts, seconds, rate=rate, step=AUTO)
-        channels = {
-            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in built.channels.items()
-            if "command" not in name
-        }
-        commands = {name: y for name, y in built.channels.items() if "command" in name}
-        logs.append((f"log {k}", type(built)(built.t, channels | commands, built.meta)))
+        logs.append((f"log {k}", _noisy(built, rng)))
     known, names = rig.parameters(), ["bulk_modulus", "servo.natural_frequency"]
     for who in ("swing", "stick"):
         names += [f"{who}.joint_damping", f"{who}.friction_coulomb", f"{who}.leakage_internal"]
@@ -615,6 +591,15 @@ def _kept(prepared: PreparedStudy, folder: Path) -> Iterator[Row]:
         yield Row(f"a sample in {name}", (folder / name).stat().st_size / ROWS, 500.0, "B")
     maximum = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     yield Row(f"memory with {ROWS} rows", maximum, 1.0, "GB")
+
+
+def _noisy(built: Record, rng: np.random.Generator) -> Record:
+    """A simulation with noise of a thousandth of its range on each channel but the commands."""
+    channels = {
+        name: y if "command" in name else y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
+        for name, y in built.channels.items()
+    }
+    return Record(built.t, channels, built.meta)
 
 
 def _best(call: Callable[[], object], repeats: int) -> float:

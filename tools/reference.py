@@ -48,7 +48,6 @@ class Key:
 
 
 # --- what an annotation says
-# -------------------------------------------------------------------------------------------------
 
 
 def parts(annotation: Any) -> list[Any]:
@@ -105,7 +104,6 @@ def own_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 # --- the cells of a table
-# -------------------------------------------------------------------------------------------------
 
 
 def _unit(row: Quantity) -> str:
@@ -214,7 +212,6 @@ def gain_key(name: str, row: Quantity | None, pair: bool = False) -> Key:
 
 
 # --- what each page has to hold
-# -------------------------------------------------------------------------------------------------
 
 
 def recipe_models() -> list[type[BaseModel]]:
@@ -274,7 +271,6 @@ def pages() -> dict[str, dict[str, list[Key]]]:
 
 
 # --- a page made anew
-# -------------------------------------------------------------------------------------------------
 
 
 def _cells(line: str) -> list[str]:
@@ -341,7 +337,6 @@ def made(text: str, tables: Mapping[str, list[Key]], name: str) -> str:
 
 
 # --- pages that are made as a whole
-# -------------------------------------------------------------------------------------------------
 
 
 def _rows(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

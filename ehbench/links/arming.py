@@ -118,23 +118,6 @@ def _as_long(prepared: Prepared, rows: int) -> Prepared:
     return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 
-def _watchdog_of(machine: Machine, prepared: Prepared, address: Address) -> float:
-    """The watchdog time [s] of a machine that sends samples and stands where the trial begins.
-
-    Raises:
-        InputError: it does not, or the link does not keep time.
-    """
-    if not isinstance(machine, LinkMachine):
-        return 0.0
-    if not address.virtual:
-        with punctual() as refused:
-            quality = measure(address.link(), address.url, PROBE, tuple(refused))
-        for problem in quality.problems():
-            raise InputError(problem)
-    machine.reach(prepared.posture, prepared.low_side)
-    return machine.watchdog
-
-
 def _permitted(
     prepared: Prepared, address: Address, ask: Ask | None
 ) -> tuple[Machine, Result, dict[str, float]]:
@@ -144,14 +127,22 @@ def _permitted(
     Raises:
         InputError: as `run_remote`.
     """
-    recipe, url = prepared.recipe, address.url
+    recipe, url, watchdog = prepared.recipe, address.url, 0.0
     for key in ("payload_change", "fault", "machine"):
         if getattr(recipe, key):
             raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
     machine = open_machine(prepared, url)
     with ExitStack() as refusal:
         refusal.callback(machine.close)
-        dry, distances = rehearsed(prepared, _watchdog_of(machine, prepared, address))
+        if isinstance(machine, LinkMachine):  # it must keep time, and stand where the trial begins
+            if not address.virtual:
+                with punctual() as refused:
+                    quality = measure(address.link(), url, PROBE, tuple(refused))
+                for problem in quality.problems():
+                    raise InputError(problem)
+            machine.reach(prepared.posture, prepared.low_side)
+            watchdog = machine.watchdog
+        dry, distances = rehearsed(prepared, watchdog)
         token, farthest = token_of(prepared, url), max(distances.values(), default=0.0)
         shown = prepared.rig.shown("x", farthest)
         about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)

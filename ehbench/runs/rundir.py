@@ -427,7 +427,6 @@ def _remove(before: Path, final: Path) -> list[Message]:
 
 
 # --- what killed processes left
-# ------------------------------------------------------------------------------------------------
 
 
 def clear_left(folder: Path) -> tuple[str, ...]:

@@ -102,7 +102,6 @@ def of_channels(item: Measure, record: Record, stop: float | None) -> float:
 
 
 # --- what results there will be
-# -------------------------------------------------------------------------------------------------
 
 
 def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:

@@ -231,7 +231,6 @@ def sample_recipe(study: Path, index: int, root: Path, inputs: Callable[[Recipe]
 
 
 # --- refusing what cannot be made
-# -------------------------------------------------------------------------------------------------
 
 
 def _inner(path: Path, inputs: Inputs) -> tuple[Stage, Prepared]:
@@ -364,7 +363,6 @@ def _target(recipe: StudyRecipe, index: int, measures: tuple[MeasureColumn, ...]
 
 
 # --- making
-# -------------------------------------------------------------------------------------------------
 
 
 def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) -> None:

@@ -447,8 +447,8 @@ def _loop(
     standing: bool,
 ) -> Loop:
     model = Model.of(rig, maps)  # one for all: nobody writes into it
-    result = route(recipe, model) if along_path(recipe) else None
-    singles = recipe.singles(None if result is None else result.starts)
+    starts, tables = route(recipe, model) if along_path(recipe) else (None, None)
+    singles = recipe.singles(starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
     else:
@@ -459,7 +459,7 @@ def _loop(
     notes = controllers.other_supply(rig, tuning)
     designs = [controllers.design(single, rig, maps, model) for single in singles]
     notes += tuple(text for item in designs for text in model.creeping(item.cylinder))
-    if result is None and len(singles) == 1:
+    if tables is None and len(singles) == 1:
         motion = rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)
         return Loop(driven, _over(_laws(recipe, driven, tuning), driven), level, notes=notes)
@@ -470,10 +470,10 @@ def _loop(
         desired = single.model_copy(update={} if operated else {"duration": None})
         if standing:
             motions.append(rest(design))
-        elif result is None:
+        elif tables is None:
             motions.append(references(desired, design, low))
         else:
-            motions.append(References(result.tables[design.cylinder]))
+            motions.append(References(tables[design.cylinder]))
     driven = tuple(Driven(*item) for item in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
     rules = [_rules(item, laws[i] if laws else None) for i, item in enumerate(driven)]
