@@ -1,6 +1,5 @@
 """What must hold before a trial moves a machine: a dry run within the same limits, a stopping
-distance that fits the margin, a link that keeps time, and a person who says so.
-"""
+distance that fits the margin, a link that keeps time, and a person who says so."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ PROBE = 2.0  # [s] for which a link is measured before each trial
 
 class Remote(NamedTuple):
     """A trial over a link: its result, what is to be said of the link, of the dry run beside it,
-    and warnings.
-    """
+    and warnings."""
 
     result: Result
     link: dict[str, Any]
@@ -61,8 +59,7 @@ def token_of(prepared: Prepared, url: str) -> str:
 
 def stopping_distances(prepared: Prepared, record: Record, watchdog: float) -> dict[str, float]:
     """How far each cylinder of the model goes on [m] after its fastest row when the link dies: the
-    last command stays for ``watchdog`` [s], then the valves go to rest by the recipe's ramp.
-    """
+    last command stays for ``watchdog`` [s], then the valves go to rest by the recipe's ramp."""
     machine, rest = prepared.machine, prepared.machine.commands.rest
     names = machine.commands.names
     commands = np.column_stack([record[f"{name}.command"] for name in names])
@@ -214,8 +211,7 @@ def run_remote(
 
 def compare(dry: Record, real: Record) -> dict[str, Any]:
     """How far a machine was from its dry run: largest and rms difference [SI] of each stroke and
-    pressure, over the time that both have.
-    """
+    pressure, over the time that both have."""
     end = min(dry.t[-1], real.t[-1])
     t = dry.t[dry.t <= end]
     differences = {}

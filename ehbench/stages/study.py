@@ -386,8 +386,7 @@ def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) 
 
 def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Run, Iterator[Task]]]:
     """Where the samples are made, and which: a short study in threads; the rest of a longer one in
-    processes, which the interpreter's lock does not hold up; there from the start what may hang.
-    """
+    processes, which the interpreter's lock does not hold up; there from the start what may hang."""
     workers, plan, measures = prepared.workers, prepared.plan, len(prepared.measures)
     if workers.scheduler:
         yield Cluster(workers, plan.bundle(), measures, plan.limit).run, tasks

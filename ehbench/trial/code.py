@@ -85,8 +85,7 @@ def source_of(module: str) -> Path | None:
 def files_of(code: Path) -> tuple[Path, ...]:
     """A code file and all that it imports, and those in turn, but for what is installed: the
     standard library, site packages and this package, which a run names by version. Sorted, the
-    file itself first.
-    """
+    file itself first."""
     paths = sysconfig.get_paths()
     places = [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib")]
     installed, files, waiting = {*places, _PACKAGE}, {code}, [code]

@@ -108,8 +108,7 @@ class Compiled:
 
     def afresh(self, plays: bool = True) -> Compiled:
         """The same at its beginning, for a run of its own; ``plays`` False on a machine whose
-        valves have no hysteresis, whatever their maps know of one.
-        """
+        valves have no hysteresis, whatever their maps know of one."""
         law, telemetry = self.controller, np.zeros((len(self.references), len(self.channels)))
         axis, given = law.axis, np.zeros(law.given.shape)
         if not plays:
@@ -145,8 +144,7 @@ def valve_fault(design: Design, t: np.ndarray, code: np.ndarray) -> dict[str, An
 @contextmanager
 def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
     """Bad input found inside is said to stand at a key of the recipe, unless it says itself where
-    it stands.
-    """
+    it stands."""
     try:
         yield
     except InputError as error:
@@ -201,8 +199,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
     """The posture of a recipe; the controlled cylinder stands at the first waypoint of its motion
-    unless the recipe says otherwise.
-    """
+    unless the recipe says otherwise."""
     points = recipe.motion.waypoints if recipe.motion is not None else ()
     return ({cylinder: f"{float(points[0])!r} m"} if points else {}) | recipe.posture
 
@@ -294,8 +291,7 @@ def compiled(
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
     """Set-point of the off-side chamber above tank [Pa] that a recipe's controller has, at which
-    its trial starts.
-    """
+    its trial starts."""
     given = controller_of(recipe).written_gains.get("low_pressure")
     if given is not None:
         return quantities(
@@ -360,8 +356,7 @@ def _taken(
     recipe: TrialRecipe, law: Law, tuning: Mapping[str, Any] | None, cylinder: str
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """(gains, rules, shaping) of a recipe, SI: those of the tune run, and over them those that
-    stand in the recipe.
-    """
+    stand in the recipe."""
     gains, rules, shaping = _recipe_tables(recipe, law)
     if tuning is not None:
         if tuning.get("cylinder") != cylinder:
@@ -429,8 +424,7 @@ def quantities(
 
 def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
     """A value of a table of the controller [SI]; of the feedback gain also one for each working
-    function.
-    """
+    function."""
     if row is None:
         if name == "choice":
             return raw

@@ -88,8 +88,7 @@ class Mover:
 
     def first(self, point: np.ndarray) -> Found:
         """A posture with the tip at a point: the one nearest to the recipe's. Of a point out of
-        reach, the one that comes nearest.
-        """
+        reach, the one that comes nearest."""
         begin = self.model.posture(self.recipe.posture)
         result = reach(self.chain, point, begin, self.free)
         if result.there:

@@ -1,6 +1,5 @@
 """All that is known of a trial before its machine runs: what is asked of it, from where, and where
-it stops.
-"""
+it stops."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ class Stop:
     """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound
     [SI] and when [s].
 
-    ``sentence`` says so in the units of the rig file.
-    """
+    ``sentence`` says so in the units of the rig file."""
 
     limit: str
     channel: str
@@ -79,8 +77,7 @@ class Stop:
 @dataclass(frozen=True)
 class Excess:
     """How far a quantity went beyond its limit after a stop: limit, channel, the value [SI]
-    farthest out and the bound [SI].
-    """
+    farthest out and the bound [SI]."""
 
     limit: str
     channel: str
@@ -111,8 +108,7 @@ class Loop:
     ``laws`` are packed, one a cylinder; none for a user's class, which is loaded when its trial
     begins.
     ``low_side`` [Pa] is where the off-side chamber stands at the start. ``plan`` is what they do
-    together, None of one cylinder by itself.
-    """
+    together, None of one cylinder by itself."""
 
     driven: tuple[Driven, ...]
     laws: tuple[Compiled, ...]
@@ -162,8 +158,7 @@ class Prepared:
     def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
         """True for the valves that go to rest without a ramp when a limit stopped the trial under a
         command [V]: those that only bring oil, so that no load is caught, and those that bring it
-        to the chamber whose pressure is too high.
-        """
+        to the chamber whose pressure is too high."""
         full = stop.channel if stop.limit == "pressure_max" else ""
         shut = []
         for (cylinder, valve), volts in zip(self.rig.valves(), command.tolist(), strict=True):
@@ -183,8 +178,7 @@ class Prepared:
     @property
     def low_side(self) -> dict[str, float]:
         """Pressure [Pa] of the unloaded chambers at the start, by cylinder; those that nobody
-        drives are the machine's own choice, as in the points that gains are tuned at.
-        """
+        drives are the machine's own choice, as in the points that gains are tuned at."""
         loop = self.loop
         return {} if loop is None else {item.design.cylinder: loop.low_side for item in loop.driven}
 
@@ -211,8 +205,7 @@ class Prepared:
 
     def rows(self, machine: Machine, sample: np.ndarray, count: int | None = None) -> Rows:
         """Rows as they are before the first tick; arguments as in `first_rows`, ``sample`` is the
-        present one.
-        """
+        present one."""
         known, t = truth_of(machine) or hidden_of(machine), self.t[:count]
         return Rows(
             t,
