@@ -96,14 +96,16 @@ class Design:
 class Compiled:
     """A built-in controller as the compiled loops take it.
 
-    ``telemetry`` has a row a tick, its columns ``channels``, and none before `afresh`; ``used``
-    says what it was made of, SI: see `ehbench.control.law.Packed`."""
+    ``telemetry`` has a row a tick, its columns ``channels``, and none before `afresh`; ``rules``
+    are those of function selection; ``used`` says what it was made of, SI: see
+    `ehbench.control.law.Packed`."""
 
     law: Law
     controller: Controller
     channels: tuple[str, ...]
     references: np.ndarray
     telemetry: np.ndarray
+    rules: np.record
     used: dict[str, Any]
 
     def afresh(self, plays: bool = True) -> Compiled:
@@ -285,6 +287,7 @@ def compiled(
         names,
         references,
         np.empty((0, len(names))),
+        rules,
         {**packed.used, "rules": numbers(rules, ALL_RULES)},
     )
 

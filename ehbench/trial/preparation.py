@@ -12,8 +12,7 @@ import numpy as np
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
-from ehbench.control.functions import RULES, pack_rules
-from ehbench.control.records import blank
+from ehbench.control.functions import pack_rules
 from ehbench.control.trajectory import Reference
 from ehbench.machines.protocol import (
     Machine,
@@ -469,7 +468,9 @@ def _loop(
             motions.append(References(tables[design.cylinder]))
     driven = tuple(Driven(*item) for item in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
-    rules = [_rules(item, laws[i] if laws else None) for i, item in enumerate(driven)]
+    supply = float(rig.supply.pressure)  # of a user's class, whose rules are not known
+    rules = [law.rules for law in laws]
+    rules = rules or [pack_rules(item.design.circuit.area_rod, supply) for item in driven]
     share, plan = recipe.motion is not None and recipe.motion.share_flow, None
     if all(item.references.lever is None for item in driven):  # no operator moves them
         driven, plan = planned(driven, rules, level, share)
@@ -522,16 +523,6 @@ def _over(laws: tuple[Compiled, ...], driven: Sequence[Driven]) -> tuple[Compile
     return tuple(
         replace(law, references=table) for law, table in zip(laws, tables_of(driven), strict=False)
     )
-
-
-def _rules(item: Driven, part: Compiled | None) -> np.record:
-    """The rules of function selection of a cylinder: those that its law has."""
-    if part is None:
-        return pack_rules(item.design.circuit.area_rod, float(item.design.rig.supply.pressure))
-    rules = blank(RULES)
-    for name, value in part.used["rules"].items():
-        rules[name] = value
-    return rules
 
 
 def _controlled_valves(loop: Loop) -> tuple[str, ...]:
