@@ -280,24 +280,21 @@ class Prepared:
         ramp, beyond, sentences = float(self.recipe.limits.ramp), [], ""
         samples = rows.samples[span]
         bounds: dict[str, float] = dict(zip(LIMITS, self.limits.tolist(), strict=True))
+        strokes, margin = iter(rows.strokes.tolist()), bounds["stroke_margin"]
         for column, channel in enumerate(machine.channels):
-            word = channel.rsplit(".", 1)[-1]
+            word, ends = channel.rsplit(".", 1)[-1], []  # limit, value, bound: the least or largest
             values = samples[:, column]
             if word in ("p_head", "p_rod"):
-                ends = [("pressure_max", values.max()), ("pressure_min", values.min())]
+                ends.append(("pressure_max", values.max(), bounds["pressure_max"], False))
+                ends.append(("pressure_min", values.min(), bounds["pressure_min"], True))
             elif word == "x":
-                ends = [("stroke_margin", values.min()), ("stroke_margin", values.max())]
+                ends.append(("stroke_margin", values.min(), margin, True))
+                ends.append(("stroke_margin", values.max(), next(strokes) - margin, False))
             elif word == "v":
-                ends = [("speed_max", values[np.argmax(np.abs(values))])]
-            else:
-                continue
-            for at, (limit, value) in enumerate(ends):
-                bound = bounds[limit]
-                if limit == "stroke_margin" and at:
-                    strokes = [name for name in machine.channels if name.endswith(".x")]
-                    bound = float(rows.strokes[strokes.index(channel)]) - bound
-                below = limit == "pressure_min" or (limit == "stroke_margin" and not at)
-                if value < bound if below else abs(value) > bound:
+                fastest = values[np.argmax(np.abs(values))]
+                ends.append(("speed_max", fastest, bounds["speed_max"], False))
+            for limit, value, bound, is_least in ends:
+                if value < bound if is_least else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
                     unit = self.rig.unit_of(word)
                     shown, edge = (
