@@ -59,8 +59,7 @@ class Row:
 
 def thesis_trial(rig: Rig, rate: float = 1000.0) -> tuple[Model, np.ndarray]:
     """(model, table of commands [V]) of a 10 s trial of the thesis's arm: steps of all three
-    cylinders there and back.
-    """
+    cylinders there and back."""
     model = Model.of(rig)
     samples = round(TRIAL * rate) + 1
     table = model.rest_commands(samples)
@@ -87,8 +86,7 @@ def radau_error(
     """Largest error of `Model.run` against SciPy's Radau, as a share of each state's range, by the
     state's name.
 
-    Radau starts anew wherever a command changes. States that do not move are left out.
-    """
+    Radau starts anew wherever a command changes. States that do not move are left out."""
     from scipy.integrate import solve_ivp
 
     plant, names = model.plant, model.layout
@@ -122,8 +120,7 @@ def radau_error(
 
 def speed(rig: Rig, repeats: int = 30) -> Iterator[Row]:
     """How many times faster than the machine the model runs once warm, on the analytic laws and on
-    measured maps.
-    """
+    measured maps."""
     for label, maps in (
         ("flow laws of the rig file", None),
         ("flow maps fitted to the dataset", _maps(rig)),
@@ -179,8 +176,7 @@ def exported(ticks: int = 3000) -> Iterator[Row]:
 
 def chosen_steps(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     """What steps chosen by the guard take of the time of fixed ones, what they miss, and how long a
-    thousand trials take with them on all cores, each of a rig of its own.
-    """
+    thousand trials take with them on all cores, each of a rig of its own."""
     model, table = thesis_trial(rig)
     start = model.trim(model.posture(None))
     fixed = _best(lambda: model.run(start, table), repeats)
@@ -268,8 +264,7 @@ def accuracy(rig: Rig) -> Iterator[Row]:
 
 def fitting(rig: Rig) -> Iterator[Row]:
     """Time of an output-error fit of six parameters on six noisy logs of 3 s, started well off the
-    truth.
-    """
+    truth."""
     from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     t = np.arange(3001) * 1e-3
@@ -307,8 +302,7 @@ def fitting(rig: Rig) -> Iterator[Row]:
 
 def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
     """Time of an output-error fit of eight parameters on two noisy logs of 31 s, written at a
-    ``rate`` [Hz], started well off the truth; at a high one by means of several samples.
-    """
+    ``rate`` [Hz], started well off the truth; at a high one by means of several samples."""
     from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     rig = load_rig(RIG.with_name("boom_four_valve.toml"))
@@ -341,8 +335,7 @@ def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
 
 def stiff_fitting(friction: float = 7e3, mass: float = 20.0) -> Iterator[Row]:
     """Time of a fit of seven parameters on a noisy log of 31 s at 1 kHz: a piston of ``mass``
-    [kg] that its ``friction`` [N] stops at once.
-    """
+    [kg] that its ``friction`` [N] stops at once."""
     from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     rig = load_rig(RIG.with_name("slide_servo.toml"))
@@ -496,8 +489,7 @@ SAMPLES, ROWS, WORKERS = 1500, 100_000, 2
 
 def studies() -> Iterator[Row]:
     """What a study adds to its samples, in processes and on a Dask cluster of this machine; what a
-    sample costs on the wire and on disk; how many this process can hand out; memory.
-    """
+    sample costs on the wire and on disk; how many this process can hand out; memory."""
     from ehbench.config.recipe import StudyRecipe
     from ehbench.sampling.cluster import Cluster
     from ehbench.sampling.pools import Processes
@@ -527,8 +519,7 @@ def studies() -> Iterator[Row]:
 
 def _overhead(where: str, run: Run, prepared: PreparedStudy) -> Iterator[Row]:
     """Of SAMPLES short trials, the share of the workers' time that went into anything else; counted
-    from when every worker is at work.
-    """
+    from when every worker is at work."""
     design, came = prepared.design, []
     tasks = ((i, design.settings(i)) for i in range(SAMPLES))
     for some in run(tasks):
@@ -615,8 +606,7 @@ def _best(call: Callable[[], object], repeats: int) -> float:
 
 def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
     """A shipped trial of the thesis's arm made to last TRIAL seconds with the payload, of a given
-    cylinder.
-    """
+    cylinder."""
     recipe = load_recipe(RECIPES / "trials" / name)
     if not (isinstance(recipe, TrialRecipe) and recipe.motion is not None):
         raise AssertionError(f"{name} is no trial with a motion")
@@ -628,8 +618,7 @@ def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
 
 def _three_at_once() -> TrialRecipe:
     """The shipped trial in which swing and stick disturb the boom, on the model for TRIAL
-    seconds.
-    """
+    seconds."""
     recipe = load_recipe(RECIPES / "trials" / "disturbed_boom.toml")
     if not isinstance(recipe, TrialSetRecipe):
         raise AssertionError("disturbed_boom.toml is no set of trials")

@@ -36,8 +36,7 @@ _BLOCK = re.compile(r"<!-- (\w[\w ]*) -->\n((?:\|.*\n)*)")
 @dataclass(frozen=True)
 class Key:
     """One row of a table, in the order of its columns. An empty ``default`` or ``words`` is taken
-    from the page; a law that says no default derives it.
-    """
+    from the page; a law that says no default derives it."""
 
     name: str
     symbol: str
@@ -247,8 +246,7 @@ def gain_tables() -> dict[str, list[Key]]:
 
 def pages() -> dict[str, dict[str, list[Key]]]:
     """The tables of each page by their name, where their comments stand. A table that stands on no
-    page yet is the last page's.
-    """
+    page yet is the last page's."""
 
     def tables(roots: Iterable[type[BaseModel]]) -> dict[str, list[Key]]:
         return {
