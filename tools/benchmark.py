@@ -20,6 +20,7 @@ import numpy as np
 
 from ehbench.config.recipe import FlowMapRecipe, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.many import map_threads
 from ehbench.plant.model import Model, simulate
@@ -58,8 +59,7 @@ class Row:
 
 def thesis_trial(rig: Rig, rate: float = 1000.0) -> tuple[Model, np.ndarray]:
     """(model, table of commands [V]) of a 10 s trial of the thesis's arm: steps of all three
-    cylinders there and back.
-    """
+    cylinders there and back."""
     model = Model.of(rig)
     samples = round(TRIAL * rate) + 1
     table = model.rest_commands(samples)
@@ -86,8 +86,7 @@ def radau_error(
     """Largest error of `Model.run` against SciPy's Radau, as a share of each state's range, by the
     state's name.
 
-    Radau starts anew wherever a command changes. States that do not move are left out.
-    """
+    Radau starts anew wherever a command changes. States that do not move are left out."""
     from scipy.integrate import solve_ivp
 
     plant, names = model.plant, model.layout
@@ -121,8 +120,7 @@ def radau_error(
 
 def speed(rig: Rig, repeats: int = 30) -> Iterator[Row]:
     """How many times faster than the machine the model runs once warm, on the analytic laws and on
-    measured maps.
-    """
+    measured maps."""
     for label, maps in (
         ("flow laws of the rig file", None),
         ("flow maps fitted to the dataset", _maps(rig)),
@@ -178,8 +176,7 @@ def exported(ticks: int = 3000) -> Iterator[Row]:
 
 def chosen_steps(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     """What steps chosen by the guard take of the time of fixed ones, what they miss, and how long a
-    thousand trials take with them on all cores, each of a rig of its own.
-    """
+    thousand trials take with them on all cores, each of a rig of its own."""
     model, table = thesis_trial(rig)
     start = model.trim(model.posture(None))
     fixed = _best(lambda: model.run(start, table), repeats)
@@ -267,8 +264,7 @@ def accuracy(rig: Rig) -> Iterator[Row]:
 
 def fitting(rig: Rig) -> Iterator[Row]:
     """Time of an output-error fit of six parameters on six noisy logs of 3 s, started well off the
-    truth.
-    """
+    truth."""
     from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     t = np.arange(3001) * 1e-3
@@ -288,13 +284,7 @@ def fitting(rig: Rig) -> Iterator[Row]:
     logs = []
     for index, command in enumerate(commands):
         built = simulate(rig, command, 3.0)
-        channels = {
-            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in built.channels.items()
-            if "command" not in name
-        }
-        retained = {name: built[name] for name in built.channels if name.endswith(".command")}
-        logs.append((f"log_{index}", type(built)(built.t, channels | retained, built.meta)))
+        logs.append((f"log_{index}", _noisy(built, rng)))
     truth = {
         name: float(rig.parameters()[name])
         for name in ("bulk_modulus", *(f"{joint}.joint_damping" for joint in rig.joint_names))
@@ -312,8 +302,7 @@ def fitting(rig: Rig) -> Iterator[Row]:
 
 def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
     """Time of an output-error fit of eight parameters on two noisy logs of 31 s, written at a
-    ``rate`` [Hz], started well off the truth; at a high one by means of several samples.
-    """
+    ``rate`` [Hz], started well off the truth; at a high one by means of several samples."""
     from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     rig = load_rig(RIG.with_name("boom_four_valve.toml"))
@@ -332,13 +321,7 @@ def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
         volts["boom.ht"] = 3.5 * down
         given = {"posture": {"boom": "250 mm"}, "payload": load, "rate": rate, "step": AUTO}
         built = simulate(rig, volts, 31.0, **given)
-        channels = {
-            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in built.channels.items()
-            if "command" not in name
-        }
-        retained = {f"{name}.command": built[f"{name}.command"] for name in volts}
-        logs.append((f"log {load}", type(built)(built.t, channels | retained, built.meta)))
+        logs.append((f"log {load}", _noisy(built, rng)))
     known = rig.parameters()
     gains = [f"boom.{valve}.flow_gain" for valve in ("sh", "rt", "sr", "ht")]
     names = ["bulk_modulus", "boom.joint_damping", *gains]
@@ -352,28 +335,20 @@ def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
 
 def stiff_fitting(friction: float = 7e3, mass: float = 20.0) -> Iterator[Row]:
     """Time of a fit of seven parameters on a noisy log of 31 s at 1 kHz: a piston of ``mass``
-    [kg] that its ``friction`` [N] stops at once.
-    """
+    [kg] that its ``friction`` [N] stops at once."""
     from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 
     rig = load_rig(RIG.with_name("slide_servo.toml"))
     rig = rig.with_values({"carriage.mass": mass, "press.friction_coulomb": friction})
     t, rng = np.arange(31_001) / 1000.0, np.random.default_rng(1)
     u = 1.5 * np.sign(np.sin(2.0 * np.pi * t / 3.1)) * (np.sin(2.0 * np.pi * t / 1.55) > 0.0)
-    built = simulate(rig, {"press.servo": u}, 31.0, step=AUTO)
-    channels = {
-        name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-        for name, y in built.channels.items()
-        if "command" not in name
-    }
-    channels["press.servo.command"] = built["press.servo.command"]
+    log = _noisy(simulate(rig, {"press.servo": u}, 31.0, step=AUTO), rng)
     known = rig.parameters()
     names = ["bulk_modulus", "press.friction_coulomb"]
     names += [name for name in known if name.endswith(".flow_gain")]
     start = {name: float(known[name]) * 1.3 ** (-1) ** k for k, name in enumerate(names)}
     start["press.leakage_internal"] = 1e-13
     began = time.perf_counter()
-    log = type(built)(built.t, channels, built.meta)
     options = FitOptions(start=start, upper={"press.friction_coulomb": 5.0 * friction})
     identify_hydraulics(rig, [("log", log)], list(start), options)
     took = time.perf_counter() - began
@@ -397,13 +372,7 @@ def many_fitting(seconds: float = 25.0, rate: float = 100.0) -> Iterator[Row]:
             u[: round(rate)] = 0.0
             u -= np.where(t > 1.0, np.mean(u[t > 1.0]), 0.0)
         built = simulate(rig, volts, seconds, rate=rate, step=AUTO)
-        channels = {
-            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in built.channels.items()
-            if "command" not in name
-        }
-        commands = {name: y for name, y in built.channels.items() if "command" in name}
-        logs.append((f"log {k}", type(built)(built.t, channels | commands, built.meta)))
+        logs.append((f"log {k}", _noisy(built, rng)))
     known, names = rig.parameters(), ["bulk_modulus", "servo.natural_frequency"]
     for who in ("swing", "stick"):
         names += [f"{who}.joint_damping", f"{who}.friction_coulomb", f"{who}.leakage_internal"]
@@ -520,8 +489,7 @@ SAMPLES, ROWS, WORKERS = 1500, 100_000, 2
 
 def studies() -> Iterator[Row]:
     """What a study adds to its samples, in processes and on a Dask cluster of this machine; what a
-    sample costs on the wire and on disk; how many this process can hand out; memory.
-    """
+    sample costs on the wire and on disk; how many this process can hand out; memory."""
     from ehbench.config.recipe import StudyRecipe
     from ehbench.sampling.cluster import Cluster
     from ehbench.sampling.pools import Processes
@@ -551,8 +519,7 @@ def studies() -> Iterator[Row]:
 
 def _overhead(where: str, run: Run, prepared: PreparedStudy) -> Iterator[Row]:
     """Of SAMPLES short trials, the share of the workers' time that went into anything else; counted
-    from when every worker is at work.
-    """
+    from when every worker is at work."""
     design, came = prepared.design, []
     tasks = ((i, design.settings(i)) for i in range(SAMPLES))
     for some in run(tasks):
@@ -617,6 +584,15 @@ def _kept(prepared: PreparedStudy, folder: Path) -> Iterator[Row]:
     yield Row(f"memory with {ROWS} rows", maximum, 1.0, "GB")
 
 
+def _noisy(built: Record, rng: np.random.Generator) -> Record:
+    """A simulation with noise of a thousandth of its range on each channel but the commands."""
+    channels = {
+        name: y if "command" in name else y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
+        for name, y in built.channels.items()
+    }
+    return Record(built.t, channels, built.meta)
+
+
 def _best(call: Callable[[], object], repeats: int) -> float:
     """Least time [s] of some calls, after one that does not count: the least disturbed one."""
     call()
@@ -630,8 +606,7 @@ def _best(call: Callable[[], object], repeats: int) -> float:
 
 def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
     """A shipped trial of the thesis's arm made to last TRIAL seconds with the payload, of a given
-    cylinder.
-    """
+    cylinder."""
     recipe = load_recipe(RECIPES / "trials" / name)
     if not (isinstance(recipe, TrialRecipe) and recipe.motion is not None):
         raise AssertionError(f"{name} is no trial with a motion")
@@ -643,8 +618,7 @@ def _lasting_as_long(name: str, cylinder: str) -> TrialRecipe:
 
 def _three_at_once() -> TrialRecipe:
     """The shipped trial in which swing and stick disturb the boom, on the model for TRIAL
-    seconds.
-    """
+    seconds."""
     recipe = load_recipe(RECIPES / "trials" / "disturbed_boom.toml")
     if not isinstance(recipe, TrialSetRecipe):
         raise AssertionError("disturbed_boom.toml is no set of trials")

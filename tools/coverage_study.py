@@ -47,8 +47,7 @@ MINUTES = 1e-6 / 60.0 / 1e5  # 1 mL/min/bar [m³/(s·Pa)]
 @dataclass(frozen=True)
 class Kind:
     """A kind of rig: its file, cylinder, damping, payload, and the valves that drive it out and
-    back.
-    """
+    back."""
 
     file: str
     cylinder: str
@@ -87,8 +86,7 @@ KINDS = (
 @dataclass(frozen=True)
 class Case:
     """One fit: the rig's seed, how many logs, the noise (``white``, ``ar1``), and ``gain``: one
-    flow gain is wrong and all are freed with a prior.
-    """
+    flow gain is wrong and all are freed with a prior."""
 
     seed: int
     logs: int
@@ -213,8 +211,7 @@ def _known(
 
 def cases(rigs: int) -> list[Case]:
     """All cases of a study of so many rigs in each group: two, three and six logs, white and
-    coloured noise, and two logs with a wrong gain; no rig comes twice.
-    """
+    coloured noise, and two logs with a wrong gain; no rig comes twice."""
     groups = [
         *((logs, noise, False) for logs, noise in product((2, 3, 6), ("white", "ar1"))),
         (2, "white", True),

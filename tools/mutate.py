@@ -53,8 +53,7 @@ QUICK = 0.2  # [s] of a test
 
 class Change(NamedTuple):
     """A mutant's module as text, the number of the line that it changes, and that line, before and
-    after.
-    """
+    after."""
 
     source: str
     line: int
@@ -159,8 +158,7 @@ def pytest(folder: Path, words: Sequence[str], timeout: float | None) -> tuple[i
 
 def statement(text: str, line: int) -> range | None:
     """The lines of the innermost statement around one, without its body; None where it runs as the
-    module is imported.
-    """
+    module is imported."""
     nodes = [
         node
         for node in ast.walk(ast.parse(text))
@@ -286,8 +284,7 @@ def kills(mutant: Mutant, change: Change, folder: Path, runs: Runs) -> bool:
 
 def main(arguments: Sequence[str]) -> None:
     """Draw mutants until there are enough or time is over; print those that survive, and the share
-    that is killed by package.
-    """
+    that is killed by package."""
     count, minutes, seed = (*map(int, arguments), *(300, 30, 1)[len(arguments) :])
     all_of, dead, cores = Counter[str](), Counter[str](), os.cpu_count() or 1
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(cores) as pool:

@@ -36,8 +36,7 @@ _BLOCK = re.compile(r"<!-- (\w[\w ]*) -->\n((?:\|.*\n)*)")
 @dataclass(frozen=True)
 class Key:
     """One row of a table, in the order of its columns. An empty ``default`` or ``words`` is taken
-    from the page; a law that says no default derives it.
-    """
+    from the page; a law that says no default derives it."""
 
     name: str
     symbol: str
@@ -48,7 +47,6 @@ class Key:
 
 
 # --- what an annotation says
-# -------------------------------------------------------------------------------------------------
 
 
 def parts(annotation: Any) -> list[Any]:
@@ -105,7 +103,6 @@ def own_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 # --- the cells of a table
-# -------------------------------------------------------------------------------------------------
 
 
 def _unit(row: Quantity) -> str:
@@ -214,7 +211,6 @@ def gain_key(name: str, row: Quantity | None, pair: bool = False) -> Key:
 
 
 # --- what each page has to hold
-# -------------------------------------------------------------------------------------------------
 
 
 def recipe_models() -> list[type[BaseModel]]:
@@ -250,8 +246,7 @@ def gain_tables() -> dict[str, list[Key]]:
 
 def pages() -> dict[str, dict[str, list[Key]]]:
     """The tables of each page by their name, where their comments stand. A table that stands on no
-    page yet is the last page's.
-    """
+    page yet is the last page's."""
 
     def tables(roots: Iterable[type[BaseModel]]) -> dict[str, list[Key]]:
         return {
@@ -274,7 +269,6 @@ def pages() -> dict[str, dict[str, list[Key]]]:
 
 
 # --- a page made anew
-# -------------------------------------------------------------------------------------------------
 
 
 def _cells(line: str) -> list[str]:
@@ -341,7 +335,6 @@ def made(text: str, tables: Mapping[str, list[Key]], name: str) -> str:
 
 
 # --- pages that are made as a whole
-# -------------------------------------------------------------------------------------------------
 
 
 def _rows(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -130,8 +130,7 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
 
 class Says(NamedTuple):
     """How much a command says: ``loud`` with ``--verbose`` (True), ``--quiet`` (False) or neither,
-    and whether as JSON.
-    """
+    and whether as JSON."""
 
     loud: bool | None = None
     as_json: bool = False
@@ -654,8 +653,7 @@ def _say(answer: Answer, says: Says, code: int = 0, wide: bool = False) -> None:
 
 def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says) -> None:
     """Say the place of what was written of logs and what they lost, with ``--verbose`` each of it;
-    exit 3 where an answer has notes already, or data could not be used.
-    """
+    exit 3 where an answer has notes already, or data could not be used."""
     from ehbench.data.record import lost, noted_losses
 
     each = [noted_losses(name, notes) for name, notes in losses.items()]

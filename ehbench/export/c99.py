@@ -313,8 +313,7 @@ class Function:
 
     def _jump(self, source: str, target: str) -> str:
         """Go to a block, its phis set to what they are from here; all at once where one of them
-        needs another's old value.
-        """
+        needs another's old value."""
         target = target.strip('"')
         moves = [(v, k, self.value(k, by[source])) for v, k, by in self.phis[target]]
         names = {v for v, _, _ in moves}

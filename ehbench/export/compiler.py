@@ -19,8 +19,7 @@ FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 
 class Target(NamedTuple):
     """A kind of machine: what the extra's compiler calls it, the folders of its binary in an FMU
-    of version 2 and 3, and the binary's ending.
-    """
+    of version 2 and 3, and the binary's ending."""
 
     triple: str
     folders: tuple[str, str]

@@ -1,6 +1,5 @@
 """A part that can be exported: a compiled kernel with the memory that it works on, and the
-variables by which people know what lies there.
-"""
+variables by which people know what lies there."""
 
 from __future__ import annotations
 

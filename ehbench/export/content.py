@@ -25,8 +25,7 @@ class Written(NamedTuple):
     """A file or folder that a format wrote, by its name in the run folder.
 
     ``about`` what it is, ``check`` how it was checked on this machine, ``note`` what the user
-    should know of it.
-    """
+    should know of it."""
 
     file: str
     about: str

@@ -1,6 +1,5 @@
 """Functional mock-up units for co-simulation: the C of a part with its source, a description of its
-variables, and a binary for each target that a compiler is there for.
-"""
+variables, and a binary for each target that a compiler is there for."""
 
 from __future__ import annotations
 

@@ -24,8 +24,7 @@ class StateSpace:
     """``ẋ = A x + B u``, ``y = C x`` about a steady motion called ``name``, all SI.
 
     ``inputs`` name u: commands [V], then the force on the rod [N]; ``outputs`` name y; ``at`` has
-    the numbers of the steady motion [SI], ``counts`` says whether gains are tuned on it.
-    """
+    the numbers of the steady motion [SI], ``counts`` says whether gains are tuned on it."""
 
     name: str
     cylinder: str

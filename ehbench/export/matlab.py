@@ -52,8 +52,7 @@ def matlab_files(rig: Rig, fitted: Fitted, linear: Sequence[StateSpace]) -> dict
 
 def _facts(rig: Rig, fitted: Fitted) -> dict[str, Any]:
     """What is known of each parameter, in tables by the words of its name; the keys of tables end
-    in a dot.
-    """
+    in a dot."""
     tables: dict[str, Any] = {}
     for name, value in rig.parameters().items():
         row, inner = fitted.get(name, {}), tables

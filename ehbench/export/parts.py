@@ -109,8 +109,7 @@ def _rig_parameters(
     trial: Prepared, part: Component, about: Mapping[str, str]
 ) -> Iterator[Variable]:
     """The parameters of a rig that the plant holds as they are: where such a one changes, numbers
-    of the plant that were the old value are the new one, and no others change.
-    """
+    of the plant that were the old value are the new one, and no others change."""
     known, payload = trial.rig.parameters(), trial.recipe.payload
 
     def numbers_of(rig: Rig) -> dict[str, int]:
@@ -220,8 +219,7 @@ def _gains(law: Compiled) -> Iterator[Variable]:
 
 def valves_part(trial: Prepared, design: Design) -> Component:
     """The inverse laws or flow maps of a cylinder's valves: the command of each edge at which it
-    passes a flow at a pressure drop.
-    """
+    passes a flow at a pressure drop."""
     plant, layout = design.model.plant, design.model.layout
     at = [
         i
@@ -271,8 +269,7 @@ def valves_part(trial: Prepared, design: Design) -> Component:
 
 def inverse(drop, flow, edges, maps, lowest, highest, command):
     """Write the command [V] of each edge at which it passes ``flow`` [m³/s] at ``drop`` [Pa], both
-    along it, within its range.
-    """
+    along it, within its range."""
     for i in range(edges.shape[0]):
         volts = edge_command(drop[i], flow[i], edges[i], maps)
         command[i] = min(max(volts, lowest[i]), highest[i])

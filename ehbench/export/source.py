@@ -1,6 +1,5 @@
 """A part as C99: a header that names its variables, a source file without allocation or input and
-output, and a check against a trial.
-"""
+output, and a check against a trial."""
 
 from __future__ import annotations
 
@@ -77,8 +76,7 @@ def image(value: Any) -> str:
 
 def arguments_of(leaf: Leaf) -> Iterator[tuple[str, str]]:
     """(type of LLVM, text in C) of what compiled code takes of a leaf: of an array also who owns
-    it, its size, shape and strides.
-    """
+    it, its size, shape and strides."""
     value = leaf.value
     if value is None:
         yield "ptr", "0"

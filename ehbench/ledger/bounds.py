@@ -191,8 +191,7 @@ def _against(function: np.ndarray, seventh: bool) -> str:
 class _Load(NamedTuple):
     """What a motion worked against: supply ``pressure`` [Pa], ``areas`` [m²], the chamber that
     carries the load, the ``work`` of lifting it [J], whether the supply carries it on the area
-    difference.
-    """
+    difference."""
 
     pressure: float
     areas: tuple[float, float]

@@ -88,8 +88,7 @@ class Account:
 
         Readings of a map go up, a motion goes to and fro, and hysteresis makes 2 % of that, a small
         opening more; ``position`` is an error of the way that the piston went. Factors are 1 ±
-        ``flow`` before, cylinders with lines as they are.
-        """
+        ``flow`` before, cylinders with lines as they are."""
         if self.accuracy.flow == 0.0:
             return flows
         plant, result, dt = model.plant, flows.copy(), np.diff(m.t)[:, None]
@@ -135,8 +134,7 @@ class Account:
         at: np.ndarray | None = None,
     ) -> np.ndarray:
         """Energies [J] of all rows at the end, shape (rows,); or, cumulated, at the samples ``at``,
-        shape (at, rows).
-        """
+        shape (at, rows)."""
         plant, sheet = model.plant, self.sheet
         at = np.array([m.t.size - 1]) if at is None else at
         dt = np.diff(m.t)

@@ -1,6 +1,5 @@
 """What must hold before a trial moves a machine: a dry run within the same limits, a stopping
-distance that fits the margin, a link that keeps time, and a person who says so.
-"""
+distance that fits the margin, a link that keeps time, and a person who says so."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ PROBE = 2.0  # [s] for which a link is measured before each trial
 
 class Remote(NamedTuple):
     """A trial over a link: its result, what is to be said of the link, of the dry run beside it,
-    and warnings.
-    """
+    and warnings."""
 
     result: Result
     link: dict[str, Any]
@@ -61,8 +59,7 @@ def token_of(prepared: Prepared, url: str) -> str:
 
 def stopping_distances(prepared: Prepared, record: Record, watchdog: float) -> dict[str, float]:
     """How far each cylinder of the model goes on [m] after its fastest row when the link dies: the
-    last command stays for ``watchdog`` [s], then the valves go to rest by the recipe's ramp.
-    """
+    last command stays for ``watchdog`` [s], then the valves go to rest by the recipe's ramp."""
     machine, rest = prepared.machine, prepared.machine.commands.rest
     names = machine.commands.names
     commands = np.column_stack([record[f"{name}.command"] for name in names])
@@ -118,23 +115,6 @@ def _as_long(prepared: Prepared, rows: int) -> Prepared:
     return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 
-def _watchdog_of(machine: Machine, prepared: Prepared, address: Address) -> float:
-    """The watchdog time [s] of a machine that sends samples and stands where the trial begins.
-
-    Raises:
-        InputError: it does not, or the link does not keep time.
-    """
-    if not isinstance(machine, LinkMachine):
-        return 0.0
-    if not address.virtual:
-        with punctual() as refused:
-            quality = measure(address.link(), address.url, PROBE, tuple(refused))
-        for problem in quality.problems():
-            raise InputError(problem)
-    machine.reach(prepared.posture, prepared.low_side)
-    return machine.watchdog
-
-
 def _permitted(
     prepared: Prepared, address: Address, ask: Ask | None
 ) -> tuple[Machine, Result, dict[str, float]]:
@@ -144,14 +124,22 @@ def _permitted(
     Raises:
         InputError: as `run_remote`.
     """
-    recipe, url = prepared.recipe, address.url
+    recipe, url, watchdog = prepared.recipe, address.url, 0.0
     for key in ("payload_change", "fault", "machine"):
         if getattr(recipe, key):
             raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
     machine = open_machine(prepared, url)
     with ExitStack() as refusal:
         refusal.callback(machine.close)
-        dry, distances = rehearsed(prepared, _watchdog_of(machine, prepared, address))
+        if isinstance(machine, LinkMachine):  # it must keep time, and stand where the trial begins
+            if not address.virtual:
+                with punctual() as refused:
+                    quality = measure(address.link(), url, PROBE, tuple(refused))
+                for problem in quality.problems():
+                    raise InputError(problem)
+            machine.reach(prepared.posture, prepared.low_side)
+            watchdog = machine.watchdog
+        dry, distances = rehearsed(prepared, watchdog)
         token, farthest = token_of(prepared, url), max(distances.values(), default=0.0)
         shown = prepared.rig.shown("x", farthest)
         about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
@@ -223,8 +211,7 @@ def run_remote(
 
 def compare(dry: Record, real: Record) -> dict[str, Any]:
     """How far a machine was from its dry run: largest and rms difference [SI] of each stroke and
-    pressure, over the time that both have.
-    """
+    pressure, over the time that both have."""
     end = min(dry.t[-1], real.t[-1])
     t = dry.t[dry.t <= end]
     differences = {}

@@ -1,6 +1,5 @@
 """Machines that play a whole table of commands by their own clock and then give their log: enough
-for every open-loop test.
-"""
+for every open-loop test."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ STOPPED_BY = 3  # where the stamp of a row's checks has the machine's reason
 class Played(NamedTuple):
     """What a machine says of a table: the ``samples`` after each row, the commands that were
     ``applied`` [V] in it, both as long as it ran, and the number of the reason for which they end
-    before the table.
-    """
+    before the table."""
 
     samples: np.ndarray
     applied: np.ndarray
@@ -44,8 +42,7 @@ class Played(NamedTuple):
 
 class Buffered:
     """The rows of a trial from a machine that has played them. The host's limits look at the log
-    afterwards; while it plays, only the machine's own stop it.
-    """
+    afterwards; while it plays, only the machine's own stop it."""
 
     _played: Played | None = None
 

@@ -63,8 +63,7 @@ class Layout:
 
     def number(self, mode: Mode) -> int:
         """The number of the layout in every header: 24 bits of the names' CRC-32, so that a
-        float32 holds it.
-        """
+        float32 holds it."""
         return crc32("\n".join((mode, *self.up, "", *self.down(mode))).encode()) & 0xFFFFFF
 
     def clamps(self) -> list[tuple[float, float, float, float]]:
@@ -130,8 +129,7 @@ FRAMES = {"up": 0x100, "down": 0x200}  # first number of a frame
 
 def dbc_text(layout: Layout, rate: float) -> str:
     """The layout as a DBC file: two float32 in a frame, the header in the last ones, which close
-    the vector.
-    """
+    the vector."""
     lines, kinds = ['VERSION ""', "NS_ :", "BS_:", "BU_: host target"], []
     for way, sender in (("up", "target"), ("down", "host")):
         names = [*(layout.up if way == "up" else layout.down("stream")), *HEADER]
@@ -157,8 +155,7 @@ WRITERS = {  # by option: the file's name, its text, the responder that reads it
 
 def write_files(layout: Layout, rate: float, kind: str, folder: Path) -> list[Path]:
     """Write the layout into a folder, with the responder that reads it, where there is one; a
-    responder that stands there may be filled in, and stays.
-    """
+    responder that stands there may be filled in, and stays."""
     name, text, responder = WRITERS[kind]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(text(layout, rate), encoding="utf-8")

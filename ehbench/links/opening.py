@@ -28,8 +28,7 @@ CARDS = {"nidaq": NiCard, "labjack": LabJackCard}
 
 class Terminal(FileModel):
     """A terminal of a card: value = volts · ``scale`` + ``offset`` [SI]; volts of an output are
-    command · ``scale`` + ``offset``.
-    """
+    command · ``scale`` + ``offset``."""
 
     terminal: str
     scale: float = 1.0

@@ -56,8 +56,7 @@ class Served:
 
     def follow(self, references: list[float]) -> list[float]:
         """Commands [V] of the recipe's laws towards x, v, a desired of each cylinder, which go on
-        as they say until the next come.
-        """
+        as they say until the next come."""
         rows, setpoints = self._rows, np.reshape(references, (len(self.machine.strokes), -1))
         self._since = self._since + 1 if references == self._given else 0
         self._given, t = references, self._since / self.machine.rate

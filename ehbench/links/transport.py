@@ -1,6 +1,5 @@
 """How vectors of float64 reach a target and come back as datagrams, over UDP or on a virtual
-clock.
-"""
+clock."""
 
 from __future__ import annotations
 
@@ -93,8 +92,7 @@ class VirtualClock:
 
     def answer(self, datagram: bytes) -> bytes:
         """What a target answers: its time goes on to the host's, then the datagram comes, then it
-        ticks once; b"" where its answer is lost.
-        """
+        ticks once; b"" where its answer is lost."""
         target, numbers = self.target, vector(datagram)
         if numbers.size >= len(HEADER) and np.isfinite(numbers[: len(HEADER)]).all():
             host = round(numbers[TIME] * target.rate)

@@ -62,8 +62,7 @@ def _displayed(facts: Facts, word: str, value: float) -> float | None:
 
 def _margins(facts: Facts, values: dict[str, float]) -> Iterator[dict[str, Any]]:
     """Each limit that the recipe sets: what is nearest to it, how far that is from it, and the
-    share of the way there that is ``used``.
-    """
+    share of the way there that is ``used``."""
     limits = facts.limits
 
     def row(limit: str, channel: str, word: str, margin: float, span: float) -> dict[str, Any]:

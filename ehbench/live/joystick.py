@@ -82,8 +82,7 @@ def stick_of(facts: Facts) -> Joystick:
 
 def follow_stick(facts: Facts, put: Callable[[list[float] | None], None]) -> None:
     """Hand on what a joystick says, for ever; one that was unplugged is let go until it is there
-    again.
-    """
+    again."""
     while True:
         try:
             stick = stick_of(facts)

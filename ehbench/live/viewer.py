@@ -1,6 +1,5 @@
 """The process of a live view: it reads the board some times a second and shows it on a page, on the
-terminal and, where its package is installed, to Foxglove.
-"""
+terminal and, where its package is installed, to Foxglove."""
 
 from __future__ import annotations
 
@@ -130,8 +129,7 @@ class Server(ThreadingHTTPServer):
 @contextmanager
 def foxglove(facts: Facts) -> Iterator[Callable[[dict[str, Any]], None]]:
     """What hands frames to Foxglove, on its usual port of this computer; nothing without its
-    package, or where the port is taken.
-    """
+    package, or where the port is taken."""
     if find_spec("foxglove") is None:
         yield lambda frame: None
         return

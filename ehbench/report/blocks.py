@@ -44,8 +44,7 @@ class Bullets:
 @dataclass(frozen=True)
 class Grid:
     """A table: head, rows of `Cell` or text, a caption above; ``key`` is what a campaign names it
-    by, ``title`` what it calls it; ``look`` may be ``stack``: rows become blocks on a phone.
-    """
+    by, ``title`` what it calls it; ``look`` may be ``stack``: rows become blocks on a phone."""
 
     kind: ClassVar[str] = "grid"
     head: Sequence[str]
@@ -87,8 +86,7 @@ class Heat:
 @dataclass(frozen=True)
 class Picture:
     """A figure: inline SVG with its title and caption. ``named``: the place of its title in the
-    campaign's list, None where the campaign has none; ``paper``: shown in print.
-    """
+    campaign's list, None where the campaign has none; ``paper``: shown in print."""
 
     kind: ClassVar[str] = "picture"
     svg: str

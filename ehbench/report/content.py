@@ -27,8 +27,7 @@ _LOOKS = {
 @dataclass(frozen=True)
 class Headline:
     """A number that people ask for. ``rank``: its place among those of a report, which shows one
-    of each rank below `OFTEN`; ``on_model``: of the model, so that a machine's wins.
-    """
+    of each rank below `OFTEN`; ``on_model``: of the model, so that a machine's wins."""
 
     rank: int
     label: str
@@ -67,8 +66,7 @@ class StageReport:
 
     ``standing`` says how far a run brings its rig: 0 as given, 1 identified, 2 judged. A terminal
     shows the first part that ``shows`` names, of its table the ``columns`` (none: all); scripts
-    get ``numbers``: a JSON file of the run, and keys of it (none: all).
-    """
+    get ``numbers``: a JSON file of the run, and keys of it (none: all)."""
 
     label: str
     section: Callable[[Saved, Pictures], SectionContent]
@@ -103,8 +101,7 @@ def remedy_step(remedy: str) -> Message:
 
 def weight(fields: Mapping[str, Any]) -> float:
     """How much speaks for what somebody is to write, to a tenth: the share of the residual that it
-    explains, or what stands for it.
-    """
+    explains, or what stands for it."""
     return round(fields.get("weight", fields.get("share", math.inf)), 1)
 
 

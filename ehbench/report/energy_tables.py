@@ -143,8 +143,7 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
 
 def saved_caption(rig: Rig, savings: Sequence[Saving], controller: str) -> str:
     """What one controller saved over all its cycles, what its bound is, and what ate the
-    difference: the three largest causes at their worst.
-    """
+    difference: the three largest causes at their worst."""
     telling = 0.01  # share of what was drawn
     against = [s.saved for s in savings if s.saved is not None and not s.is_spool]
     names = dict.fromkeys(name for saving in savings for name in saving.causes)
@@ -190,8 +189,7 @@ def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
 
 def open_caption(rig: Rig, cases: Sequence[Case]) -> str:
     """That no saving is stated for motions that came back, ways out and in alike to 2 %, with the
-    oil in another state; empty where none does.
-    """
+    oil in another state; empty where none does."""
     retained = []
     for case in cases:
         ledger = None if case.row.get("stopped") else case.energy()

@@ -92,8 +92,7 @@ class TracedRun:
 
     def fit_beside(self, rig: Source, name: str, value: float) -> Path | None:
         """The fit in the same folder of runs that a parameter's value [SI] is from where the rig
-        file may be a copy; before others one that left the same file.
-        """
+        file may be a copy; before others one that left the same file."""
         fits = []
         for path in self.folder.parent.glob("*/parameters.json"):
             try:

@@ -235,8 +235,7 @@ class FigureIndex:
     """The figures of a run folder as they are drawn: hands out file names that do not collide.
 
     A figure's ``key`` is what a campaign names it by; ``about`` says what it shows: by these words
-    a section finds it again.
-    """
+    a section finds it again."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

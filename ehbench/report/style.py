@@ -62,8 +62,7 @@ def canvas(
     path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.2, 4.2), **kwargs
 ) -> Iterator:
     """A figure and its axes; saved as SVG to ``path`` when the block ends, with bytes that depend
-    on nothing else. What the host draws with, and its figures, are left as they are.
-    """
+    on nothing else. What the host draws with, and its figures, are left as they are."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -125,8 +124,7 @@ def spread(
     places: Sequence[float], sizes: float | Sequence[float], low: float, high: float
 ) -> np.ndarray:
     """Middles of slots of these sizes, moved from their places until none lies on another, in order
-    and inside low…high, as little as it takes; smaller where there is no room.
-    """
+    and inside low…high, as little as it takes; smaller where there is no room."""
     from scipy.optimize import isotonic_regression
 
     order = np.argsort(places, kind="stable")

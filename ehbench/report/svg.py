@@ -65,8 +65,7 @@ def _harmless(name: str, value: str) -> bool:
 
 def shrink(svg: str) -> str:
     """matplotlib's SVG without what nobody sees: a tenth of a point, empty groups, names that
-    nothing points to. Text stays text, in `FONTS`. Markers keep a hundredth of a point.
-    """
+    nothing points to. Text stays text, in `FONTS`. Markers keep a hundredth of a point."""
     pointed = dict.fromkeys(re.findall(r'(?:url\(#|href="#)([^")]+)', svg))
     used = {name: f"i{place}" for place, name in enumerate(pointed)}
     root = ElementTree.fromstring(svg)

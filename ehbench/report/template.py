@@ -7,8 +7,7 @@ says when the column is there; of a list it stands once for each ``each``. A str
 columns of the same file. Formats: ``""`` text, ``code``, ``name``, ``chip``, ``digits`` (a number
 as text), ``number:3``, ``percent:3`` (of a share), or a quantity and its digits, ``v:3``, whose
 unit joins the head. A text where a number would stand is taken as digits. A value is an expression,
-or a template of a text.
-"""
+or a template of a text."""
 
 from __future__ import annotations
 

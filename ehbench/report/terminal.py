@@ -1,6 +1,5 @@
 """What a command says, as lines for a terminal and as plain values for scripts. What a run says is
-the first part of its section of the report, from the run's saved files only.
-"""
+the first part of its section of the report, from the run's saved files only."""
 
 import json
 import os

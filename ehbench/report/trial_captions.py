@@ -130,8 +130,7 @@ def _weighed(
     case: Case, record: Record, carried: Sequence[tuple[float, float]], since: float
 ) -> dict[str, Any] | None:
     """How far off in motion [kg] the payload is that pressures and motion show, and which share of
-    the time its interval holds the truth; None where the log has none of it.
-    """
+    the time its interval holds the truth; None where the log has none of it."""
     names = [f"{case.cylinder}.payload_{word}" for word in ("measured", "low", "high")]
     if not all(name in record for name in names):
         return None
@@ -181,8 +180,7 @@ def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
 def standstill_caption(rig: Rig, cases: Sequence[Case], records: Sequence[Record]) -> str:
     """Sentences on what trials do after a stop, at standstill and with their commands; empty if
     there is nothing to report: no swing beyond a tenth of the requested speed, fewer than four
-    changes of function, no command that swings by a fifth of its largest.
-    """
+    changes of function, no command that swings by a fifth of its largest."""
     window = 0.1  # [s], in which a command swings
     known = [(case, record) for case, record in zip(cases, records, strict=True) if case.fit]
     swings: list[tuple[float, float]] = []
@@ -220,8 +218,7 @@ def standstill_caption(rig: Rig, cases: Sequence[Case], records: Sequence[Record
 def swing_after(case: Case, record: Record) -> tuple[float, float] | None:
     """(largest speed after the last stop of the desired speed, largest in the last tenth of the
     time from there) [m/s], from 0.15 s after it on; None where the trial does not end at
-    standstill.
-    """
+    standstill."""
     name = f"{case.cylinder}.v"
     if name not in record or f"{name}_desired" not in record:
         return None

@@ -26,8 +26,7 @@ _NAMES = ("name", "channel", "cylinder", "joint", "valve", "direction", "control
 @dataclass(frozen=True)
 class NamedResult:
     """A number [SI] of a run: its ``file`` and dotted ``path`` there, its ``interval`` and ``unit``
-    if its table has them, and the other entries of that table in ``about``.
-    """
+    if its table has them, and the other entries of that table in ``about``."""
 
     file: str
     path: str

@@ -125,8 +125,7 @@ def read_json(path: Path) -> Any:
 class Run:
     """A run being written: put files into ``path``; ``facts`` become part of ``run.json``.
 
-    ``left_over`` says what killed runs had left next to it.
-    """
+    ``left_over`` says what killed runs had left next to it."""
 
     path: Path
     final: Path
@@ -153,8 +152,7 @@ def checksum(facts: Mapping[str, Any]) -> str:
 
 def run_hash(recipe: str, inputs: Iterable[tuple[str, str]], versions: Versions) -> str:
     """Eight hex digits that name a run, by the SHA-256 of its recipe, role and SHA-256 of each
-    input, and the versions of its schema and methods.
-    """
+    input, and the versions of its schema and methods."""
     digest = hashlib.sha256(f"{recipe}{versions}\n".encode())
     for role, content in inputs:
         digest.update(f"{role}:{content}\n".encode("utf-8", "surrogateescape"))
@@ -387,8 +385,7 @@ def outputs_of(facts: Path) -> Mapping[str, Any]:
 
 def _put(scratch: Path, final: Path) -> tuple[str, ...]:
     """Move a whole run to its place; of two processes that write one run, the last stays. Files of
-    the run before that someone changed are kept in ``salvaged``; a message for each.
-    """
+    the run before that someone changed are kept in ``salvaged``; a message for each."""
     before, messages = final.with_name(f".{final.name}.{os.getpid()}.before"), []
     for _ in range(100):
         with suppress(FileNotFoundError):
@@ -427,7 +424,6 @@ def _remove(before: Path, final: Path) -> list[Message]:
 
 
 # --- what killed processes left
-# ------------------------------------------------------------------------------------------------
 
 
 def clear_left(folder: Path) -> tuple[str, ...]:
@@ -444,8 +440,7 @@ def clear_left(folder: Path) -> tuple[str, ...]:
 
 def salvage(left: Path) -> list[Message]:
     """Move the logs with samples of a run that was not finished to ``salvaged`` beside it; a
-    message each.
-    """
+    message each."""
     from ehbench.data import read
 
     match, messages = _PART.fullmatch(left.name), []

@@ -66,7 +66,6 @@ def changes_of(settings: Mapping[str, Any], upstream: Sequence[str] = ()) -> dic
 
 
 # --- rigs
-# -------------------------------------------------------------------------------------------------
 
 
 def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
@@ -104,7 +103,6 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
 
 
 # --- tables
-# -------------------------------------------------------------------------------------------------
 
 
 def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: str) -> dict:

@@ -47,8 +47,7 @@ def row_of(item: Measure) -> Quantity | None:
 
 def value_of(item: Measure, results: Mapping[str, Any], settings: Mapping[str, float]) -> float:
     """A measure of results, plain values as JSON has them; nan where they do not have it.
-    ``settings`` are the sample's numbers [SI] by key, for ``inside``.
-    """
+    ``settings`` are the sample's numbers [SI] by key, for ``inside``."""
     result = lookup(results, (item.result or "").split("."))
     if item.inside is not None:
         if not (isinstance(result, list | tuple) and len(result) == 2 and None not in result):
@@ -102,7 +101,6 @@ def of_channels(item: Measure, record: Record, stop: float | None) -> float:
 
 
 # --- what results there will be
-# -------------------------------------------------------------------------------------------------
 
 
 def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:

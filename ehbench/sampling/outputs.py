@@ -79,8 +79,7 @@ def write_tables(
     folder: Path, design: Design, measures: Sequence[MeasureColumn], journal: Journal, key: str
 ) -> Rows:
     """Write ``samples.csv``, with pyarrow ``samples.parquet`` as well, of every sample of a
-    journal: its inputs by the design, then its measures. The table also comes back.
-    """
+    journal: its inputs by the design, then its measures. The table also comes back."""
     kinds = [(column.head, "text" if column.is_text else "float") for column in design.columns]
     front = [("sample", "int"), ("hash", "text"), ("code", "int"), ("status", "text")]
     columns = [

@@ -40,8 +40,7 @@ def in_threads(
 ) -> Iterator[list[Sample]]:
     """Samples by threads of this process, as they come: for those whose time goes into compiled
     loops, which release the interpreter's lock. ``stop`` ends those under way when nobody wants
-    more.
-    """
+    more."""
     done: SimpleQueue[Future[Sample]] = SimpleQueue()
     tasks, waiting = iter(tasks), 0
     with ThreadPoolExecutor(workers) as pool:
@@ -92,8 +91,7 @@ class _Worker:
 class Processes:
     """Processes of this machine, to which ``open`` goes pickled, for samples of so many
     ``measures``. One that dies, or works on a sample beyond ``limit`` [s], is replaced; a sample
-    that ends several of them is given up.
-    """
+    that ends several of them is given up."""
 
     def __init__(self, open: Open, workers: int, measures: int, limit: float | None = None) -> None:
         self._opener, self._count = pickle.dumps(open), workers

@@ -260,10 +260,11 @@ class Stage(Checked[R], Generic[R, P]):
         with rundir.open_run(
             final, recipe.stage_name, recipe.path, inputs, prepared.seeds, versions
         ) as run:
+            run.facts["on"] = getattr(recipe, "on", None)  # a machine's log stays, come what may
             work = self.work(prepared, run.path, progress)
             notes = [*work.facts["warnings"], *work.reasons]
             about = {"what": self.name, "title": recipe.title}
-            run.facts |= about | {**work.facts, "code": work.code, "notes": notes}
+            run.facts = about | {**work.facts, "code": work.code, "notes": notes}
             if progress is not None:
                 progress("drawing figures", 0.95)
             run.save()

@@ -316,8 +316,7 @@ class Inputs:
 
     def _taken(self, record: Record, item: DataFile, index: int, path: Path) -> Record:
         """The part of a record that an entry names, with its payload and forces, and what a
-        simulation takes from it, by the entry or the recipe.
-        """
+        simulation takes from it, by the entry or the recipe."""
         import numpy as np
 
         from ehbench.plant.ties import RECORDED, SUPPLY, TIED

@@ -149,8 +149,7 @@ class RecipeFile:
 @dataclass(frozen=True)
 class SampleFiles:
     """What a sample changes: its recipe as the file has it, the changes in it and upstream by stem
-    ('' for the study's recipe), the folder of its files, and the runs it has made upstream.
-    """
+    ('' for the study's recipe), the folder of its files, and the runs it has made upstream."""
 
     base: RecipeFile
     changes: Mapping[str, Changes]

@@ -231,7 +231,6 @@ def sample_recipe(study: Path, index: int, root: Path, inputs: Callable[[Recipe]
 
 
 # --- refusing what cannot be made
-# -------------------------------------------------------------------------------------------------
 
 
 def _inner(path: Path, inputs: Inputs) -> tuple[Stage, Prepared]:
@@ -364,7 +363,6 @@ def _target(recipe: StudyRecipe, index: int, measures: tuple[MeasureColumn, ...]
 
 
 # --- making
-# -------------------------------------------------------------------------------------------------
 
 
 def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) -> None:
@@ -388,8 +386,7 @@ def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) 
 
 def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Run, Iterator[Task]]]:
     """Where the samples are made, and which: a short study in threads; the rest of a longer one in
-    processes, which the interpreter's lock does not hold up; there from the start what may hang.
-    """
+    processes, which the interpreter's lock does not hold up; there from the start what may hang."""
     workers, plan, measures = prepared.workers, prepared.plan, len(prepared.measures)
     if workers.scheduler:
         yield Cluster(workers, plan.bundle(), measures, plan.limit).run, tasks

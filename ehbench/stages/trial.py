@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
 from ehbench.runs import rundir
-from ehbench.runtime.interrupts import unbroken
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
 from ehbench.vocabulary.errors import InputError
@@ -89,16 +88,6 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         return [first | also, *others]
 
     def work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
-        try:
-            return self._work(prepared, folder, progress)
-        except BaseException as error:
-            if prepared.recipe.on not in PLACES:  # a machine moved, perhaps: its log stays
-                with unbroken():
-                    for note in rundir.salvage(folder):
-                        error.add_note(note)
-            raise
-
-    def _work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
         from ehbench import trial
         from ehbench.live.view import View
         from ehbench.machines.paced import PacedMachine

@@ -1,6 +1,5 @@
 """Trials: open-loop commands or a controller, on the model or on the virtual bench, stopped safely
-when a limit is reached.
-"""
+when a limit is reached."""
 
 from __future__ import annotations
 

@@ -34,8 +34,7 @@ LOG = "estimated: measured pressures and commands through the design model's map
 
 class Account(NamedTuple):
     """A trial's facts with its energies, its ledger with its bounds as plain values, and why there
-    is none.
-    """
+    is none."""
 
     facts: Facts
     ledger: dict[str, Any] | None
@@ -86,8 +85,7 @@ _MOVED = ("steps", "tracking", "tracking_true", "tip", "speed_rms_error", "energ
 
 def middle_of(runs: Sequence[Facts]) -> int:
     """The first run that a limit stopped; else that of the median largest error, the lower one of
-    two.
-    """
+    two."""
     for index, facts in enumerate(runs):
         if facts.stopped:
             return index
@@ -120,8 +118,7 @@ def over_runs(runs: Sequence[Facts], middle: int) -> Facts:
 
 def _joined(trees: Sequence[Any], middle: int, fold: Callable[[list[float]], Any]) -> Any:
     """One tree of as many, each number the ``fold`` of theirs; texts and lists of unequal length
-    are those of the middle one.
-    """
+    are those of the middle one."""
     chosen = trees[middle]
     if isinstance(chosen, dict):
         return {name: _joined([tree.get(name) for tree in trees], middle, fold) for name in chosen}
@@ -138,8 +135,7 @@ def _joined(trees: Sequence[Any], middle: int, fold: Callable[[list[float]], Any
 @dataclass(frozen=True)
 class Case:
     """One trial of a set: its name, what `run_trial` needs, and how many runs it makes, each with
-    other noise of the sensors.
-    """
+    other noise of the sensors."""
 
     name: str
     recipe: TrialRecipe
@@ -267,8 +263,7 @@ _TIP = {"tip_max_error": "max_error", "tip_rms_error": "rms_error"}
 def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
     """The table as CSV in the units of the rig file: a row a step of speed, or a row a case without
     steps; empty where there is nothing. Of cases that move several cylinders a row each, with the
-    tip's error.
-    """
+    tip's error."""
     several = any(row.get("tip") for row in rows)
     units = {name: unit if unit == "%" else rig.unit_of(unit) for name, (unit, _) in _STEP.items()}
     strokes = _TRACKING | (_TRUE if any("tracking_true" in row for row in rows) else {})

@@ -6,7 +6,7 @@ import ast
 import sys
 import sysconfig
 from collections.abc import Iterator
-from importlib.machinery import ModuleSpec
+from contextlib import suppress
 from pathlib import Path
 
 from ehbench.config.recipe import TrialRecipe
@@ -66,7 +66,10 @@ def source_of(module: str) -> Path | None:
     for end in range(1, len(words) + 1):
         if not words[end - 1].isidentifier():
             return None
-        result = _spec(".".join(words[:end]), folders)
+        name, result = ".".join(words[:end]), None
+        for finder in sys.meta_path:
+            with suppress(ImportError, AttributeError, ValueError, OSError):
+                result = result or finder.find_spec(name, folders)
         if result is None:
             return None
         folders = result.submodule_search_locations
@@ -79,22 +82,10 @@ def source_of(module: str) -> Path | None:
     return file.resolve() if file.suffix == ".py" and file.is_file() else None
 
 
-def _spec(name: str, folders: list[str] | None) -> ModuleSpec | None:
-    for finder in sys.meta_path:
-        try:
-            result = finder.find_spec(name, folders)
-        except (ImportError, AttributeError, ValueError, OSError):
-            continue
-        if result is not None:
-            return result
-    return None
-
-
 def files_of(code: Path) -> tuple[Path, ...]:
     """A code file and all that it imports, and those in turn, but for what is installed: the
     standard library, site packages and this package, which a run names by version. Sorted, the
-    file itself first.
-    """
+    file itself first."""
     paths = sysconfig.get_paths()
     places = [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib")]
     installed, files, waiting = {*places, _PACKAGE}, {code}, [code]

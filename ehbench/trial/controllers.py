@@ -96,20 +96,21 @@ class Design:
 class Compiled:
     """A built-in controller as the compiled loops take it.
 
-    ``telemetry`` has a row a tick, its columns ``channels``, and none before `afresh`; ``used``
-    says what it was made of, SI: see `ehbench.control.law.Packed`."""
+    ``telemetry`` has a row a tick, its columns ``channels``, and none before `afresh`; ``rules``
+    are those of function selection; ``used`` says what it was made of, SI: see
+    `ehbench.control.law.Packed`."""
 
     law: Law
     controller: Controller
     channels: tuple[str, ...]
     references: np.ndarray
     telemetry: np.ndarray
+    rules: np.record
     used: dict[str, Any]
 
     def afresh(self, plays: bool = True) -> Compiled:
         """The same at its beginning, for a run of its own; ``plays`` False on a machine whose
-        valves have no hysteresis, whatever their maps know of one.
-        """
+        valves have no hysteresis, whatever their maps know of one."""
         law, telemetry = self.controller, np.zeros((len(self.references), len(self.channels)))
         axis, given = law.axis, np.zeros(law.given.shape)
         if not plays:
@@ -145,8 +146,7 @@ def valve_fault(design: Design, t: np.ndarray, code: np.ndarray) -> dict[str, An
 @contextmanager
 def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
     """Bad input found inside is said to stand at a key of the recipe, unless it says itself where
-    it stands.
-    """
+    it stands."""
     try:
         yield
     except InputError as error:
@@ -201,8 +201,7 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
     """The posture of a recipe; the controlled cylinder stands at the first waypoint of its motion
-    unless the recipe says otherwise.
-    """
+    unless the recipe says otherwise."""
     points = recipe.motion.waypoints if recipe.motion is not None else ()
     return ({cylinder: f"{float(points[0])!r} m"} if points else {}) | recipe.posture
 
@@ -288,14 +287,14 @@ def compiled(
         names,
         references,
         np.empty((0, len(names))),
+        rules,
         {**packed.used, "rules": numbers(rules, ALL_RULES)},
     )
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:
     """Set-point of the off-side chamber above tank [Pa] that a recipe's controller has, at which
-    its trial starts.
-    """
+    its trial starts."""
     given = controller_of(recipe).written_gains.get("low_pressure")
     if given is not None:
         return quantities(
@@ -360,8 +359,7 @@ def _taken(
     recipe: TrialRecipe, law: Law, tuning: Mapping[str, Any] | None, cylinder: str
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """(gains, rules, shaping) of a recipe, SI: those of the tune run, and over them those that
-    stand in the recipe.
-    """
+    stand in the recipe."""
     gains, rules, shaping = _recipe_tables(recipe, law)
     if tuning is not None:
         if tuning.get("cylinder") != cylinder:
@@ -429,8 +427,7 @@ def quantities(
 
 def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
     """A value of a table of the controller [SI]; of the feedback gain also one for each working
-    function.
-    """
+    function."""
     if row is None:
         if name == "choice":
             return raw

@@ -1,6 +1,5 @@
 """Several cylinders at once: the motion of each, as long as the longest and no faster than the
-pump allows, and the others' motions for laws that use them.
-"""
+pump allows, and the others' motions for laws that use them."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class Pace:
 
     def table(self, desired: np.ndarray, tick: float) -> np.ndarray:
         """A table of x, v, a, j in real time: ``v = v̂ σ``, ``a = â σ² + v̂ σ̇``,
-        ``j = ĵ σ³ + 3 â σ σ̇ + v̂ σ̈``.
-        """
+        ``j = ĵ σ³ + 3 â σ σ̇ + v̂ σ̈``."""
         x, v, a, j = self.of(desired, tick).T
         s, rate, bend = self.pace, self.rate, self.bend
         columns = [x, v * s, a * s**2 + v * rate, j * s**3 + 3.0 * a * s * rate + v * bend]
@@ -104,8 +102,7 @@ def pace_of(flow: np.ndarray, limit: float, tick: float) -> Pace | None:
 @dataclass(frozen=True)
 class Driven:
     """A cylinder that a controller moves: the trial as it would be for it alone, its design, and
-    what it shall do.
-    """
+    what it shall do."""
 
     recipe: TrialRecipe
     design: Design
@@ -144,8 +141,7 @@ class Plan:
 
     def channels(self, rows: slice, coordinates: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The plan's channels over some rows of a trial, and where the tip was by the joint
-        ``coordinates`` that are given; past its end the plan stands.
-        """
+        ``coordinates`` that are given; past its end the plan stands."""
         at = np.minimum(np.arange(rows.start, rows.stop), len(self.tip) - 1)
         beyond = np.arange(rows.start, rows.stop) >= len(self.tip)
         q = np.tile(self.posture, (at.size, 1))
@@ -197,8 +193,7 @@ def joints_of(driven: Sequence[Driven]) -> tuple[np.ndarray, np.ndarray]:
 
 def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
     """The table that each law runs over: its cylinder's motion, for a law that uses the others'
-    that of all joints after it, and for one that looks ahead the speeds to come.
-    """
+    that of all joints after it, and for one that looks ahead the speeds to come."""
     # what an operator will do nobody knows
     known = all(item.references.lever is None for item in driven)
     joints = joints_of(driven)[1] if known and len(driven) > 1 else None
@@ -287,8 +282,7 @@ def slower(motion: References, pace: Pace, tick: float) -> References:
 
 def _direction(tip: np.ndarray, tick: float) -> np.ndarray:
     """Unit vectors of the tip's way, shape (samples, 3); where it stands that on which it came, or
-    first goes; 0 if it never moves.
-    """
+    first goes; 0 if it never moves."""
     speed = np.gradient(tip, tick, axis=0)
     size = np.linalg.norm(speed, axis=1)
     moves = np.flatnonzero(size > COORDINATION.still)

@@ -38,8 +38,7 @@ OPERATOR = OperatorSettings()
 class Lever:
     """How a deflection becomes the motion of a cylinder: full ``speed`` [m/s], ``acceleration``
     [m/s²] at most, ``dead_zone``, the strokes between ``low`` and ``high`` [m], ``tick`` [s]; the
-    ``axis`` of a joystick.
-    """
+    ``axis`` of a joystick."""
 
     speed: float
     acceleration: float

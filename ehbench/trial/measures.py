@@ -118,8 +118,7 @@ def step_measures(
 
 def tracking_measures(t: np.ndarray, x: np.ndarray, x_desired: np.ndarray) -> dict[str, float]:
     """``max_error``, ``rms_error`` and ``final_error`` [m] (mean of the last 0.1 s, signed) of a
-    stroke against the desired one.
-    """
+    stroke against the desired one."""
     e = x - x_desired
     return {
         "max_error": float(np.abs(e).max()),
@@ -133,8 +132,7 @@ def function_measures(
 ) -> dict[str, float]:
     """How working functions were chosen: the shares of the ticks that were ``stalled`` and
     ``unable``; ``changes`` of the function per second [1/s], and per second of rest those
-    ``changes_at_rest``, while no speed was desired.
-    """
+    ``changes_at_rest``, while no speed was desired."""
     changed = np.diff(function.round()) != 0.0
     rest = (v_desired[1:] == 0.0) & (v_desired[:-1] == 0.0)
     tick = float(t[1] - t[0])
@@ -200,8 +198,7 @@ def _use(
     design: Design, number: int, record: Record, rows: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """How an edge was used: (commands [V] from near its onset up to the largest, the median drop
-    [Pa] along it at each); None where it was not.
-    """
+    [Pa] along it at each); None where it was not."""
     edge, row = design.edges[number], design.circuit.edges[design.circuit.first + number]
     flow = np.abs(record[f"{edge}.flow_desired"][:rows])
     used = flow > MEASURES.used * flow.max(initial=0.0)

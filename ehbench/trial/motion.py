@@ -57,8 +57,7 @@ _SHARE = Quantity(
 @dataclass(frozen=True)
 class Level:
     """A step of desired speed: rows ``first`` to ``stop``, speed [m/s], and its share of the full
-    speed in that direction if known.
-    """
+    speed in that direction if known."""
 
     first: int
     stop: int
@@ -69,8 +68,7 @@ class Level:
 @dataclass(frozen=True)
 class References:
     """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), the levels of speed in it, and the row
-    at which its last cycle begins; the ``lever`` of an operator, and ``inputs``, what it said.
-    """
+    at which its last cycle begins; the ``lever`` of an operator, and ``inputs``, what it said."""
 
     table: np.ndarray
     levels: tuple[Level, ...] = ()
@@ -278,8 +276,7 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
 
 def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
     """A log with ``<cylinder>.x_desired`` and, where it has them, speed, acceleration and jerk;
-    else a quintic spline's.
-    """
+    else a quintic spline's."""
     from scipy.interpolate import make_interp_spline
 
     assert motion.file is not None  # the recipe's model sees to it

@@ -26,8 +26,7 @@ class OperatorInput(Protocol):
 
     def read(self) -> Sequence[float] | None:
         """Deflections from −1 to 1, extension positive, in the order of the motions; None while
-        the dead-man switch is open or nobody is there.
-        """
+        the dead-man switch is open or nobody is there."""
         ...
 
 
@@ -59,8 +58,7 @@ class Operator:
 
     def write(self, row: int) -> bool:
         """Write what the levers say into a row of the references; whether the trial ends with it,
-        all cylinders at rest after the dead-man switch was let go.
-        """
+        all cylinders at rest after the dead-man switch was let go."""
         given, still = self._source.read(), True
         if given is not None and not all(map(math.isfinite, given)):
             given = None
@@ -98,8 +96,7 @@ class Replayed:
 
 def both_ends(levers: Sequence[Lever]) -> list[list[float]]:
     """Full deflections, one lever after the other, each until its cylinder has gone to both ends:
-    what a dry run does in place of the operator.
-    """
+    what a dry run does in place of the operator."""
     ticks = [
         round(((i.high - i.low) / i.speed + i.speed / i.acceleration) / i.tick) for i in levers
     ]
@@ -119,8 +116,7 @@ def logged(record: Record, cylinders: Iterable[str]) -> list[list[float] | None]
 
 def levers_of(prepared: Prepared) -> dict[str, Lever]:
     """The levers that an operator holds, by cylinder, in the order of the motions; those whose log
-    is played are not among them.
-    """
+    is played are not among them."""
     levers = {}
     for item in () if prepared.loop is None else prepared.loop.driven:
         motion = item.recipe.motion

@@ -44,14 +44,6 @@ PATH = PathSettings()
 
 
 @dataclass(frozen=True)
-class Route:
-    """A path turned into strokes: by cylinder where it starts [m], and its table of x, v, a, j."""
-
-    starts: dict[str, float]
-    tables: dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
 class Mover:
     """The cylinders that a path moves, by number, and the mechanism that they move."""
 
@@ -96,8 +88,7 @@ class Mover:
 
     def first(self, point: np.ndarray) -> Found:
         """A posture with the tip at a point: the one nearest to the recipe's. Of a point out of
-        reach, the one that comes nearest.
-        """
+        reach, the one that comes nearest."""
         begin = self.model.posture(self.recipe.posture)
         result = reach(self.chain, point, begin, self.free)
         if result.there:
@@ -166,21 +157,14 @@ class Mover:
         return np.column_stack([linkage_arrays(row, q[:, int(row.joint)])[0] for row in rows])
 
 
-@dataclass(frozen=True)
-class Leg:
-    """A line of the path, by the way s [m] made on it: the strokes' spline, from row to row."""
-
-    length: float
-    strokes: BSpline
-
-
 def along_path(recipe: TrialRecipe) -> bool:
     """Whether a trial's motion is a path of the tip."""
     return recipe.motion is not None and recipe.motion.kind == "path"
 
 
-def route(recipe: TrialRecipe, model: Model) -> Route:
-    """The strokes along a recipe's path, of the design ``model``.
+def route(recipe: TrialRecipe, model: Model) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """(where its cylinders start [m], their tables of x, v, a, j), by cylinder, along a recipe's
+    path, of the design ``model``.
 
     Raises:
         InputError: a point that the tip cannot come to, or a line between two that it leaves, with
@@ -193,36 +177,36 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
     results = [mover.first(point) for point in points]
     for index, (item, point) in enumerate(zip(results, points, strict=True)):
         mover.refuse(item, message("trial.point", number=index + 1, point=mover.at(point)), index)
-    q, legs = results[0].q, []
+    q, lengths, curves = results[0].q, [], []
     start = mover.strokes(q[None])[0]
     for index, (item, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
-        leg, q = _leg(mover, (item, other), q, index)
-        legs.append(leg)
+        length, curve, q = _leg(mover, (item, other), q, index)
+        lengths.append(length)
+        curves.append(curve)
     # the way made along the whole path: s, ṡ, s̈, s⃛
-    ends = np.cumsum([leg.length for leg in legs])
+    ends = np.cumsum(lengths)
     limits, tick = limits_of(recipe, motion, len(points)), 1.0 / float(recipe.rate)
     table = point_to_point([0.0, *ends.tolist()], tick=tick, **limits)
     tables = np.zeros((len(mover.moved), len(table), 4))
     of = np.searchsorted(ends[:-1], table[:, X], side="right")
-    for number, leg in enumerate(legs):  # the chain rule on each line's splines
+    for number, curve in enumerate(curves):  # the chain rule on each line's splines
         rows = np.flatnonzero(of == number)
         s, v, a, j = table[rows].T
-        s = np.clip(s - (ends[number] - leg.length), 0.0, leg.length)
-        x, first, second, third = (leg.strokes(s, order).T for order in range(4))
+        s = np.clip(s - (ends[number] - lengths[number]), 0.0, lengths[number])
+        x, first, second, third = (curve(s, order).T for order in range(4))
         tables[:, rows, X] = x
         tables[:, rows, V] = first * v
         tables[:, rows, A] = second * v**2 + first * a
         tables[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
-    return Route(
-        dict(zip(mover.moved, start.tolist(), strict=True)),
-        dict(zip(mover.moved, tables, strict=True)),
-    )
+    starts = dict(zip(mover.moved, start.tolist(), strict=True))
+    return starts, dict(zip(mover.moved, tables, strict=True))
 
 
 def _leg(
     mover: Mover, ends: tuple[np.ndarray, np.ndarray], q: np.ndarray, index: int
-) -> tuple[Leg, np.ndarray]:
-    """The line between two points, from posture q at the first on, and the posture at the second.
+) -> tuple[float, BSpline, np.ndarray]:
+    """(length [m] of the line between two points, the strokes' spline by the way made on it, the
+    posture at the second), from posture q at the first on.
 
     Raises:
         InputError: it cannot be followed.
@@ -255,7 +239,7 @@ def _leg(
         apart = np.abs(curve(length * share[1::2]) - built[1::2])
         off = float((apart * _tip_slope(mover, postures[1::2])).sum(axis=1).max())
         if off <= PATH.error:
-            return Leg(length, curve), postures[-1]
+            return length, curve, postures[-1]
         count *= 2
     distance = mover.model.rig.shown("x", off)
     raise InputError(

@@ -1,6 +1,5 @@
 """All that is known of a trial before its machine runs: what is asked of it, from where, and where
-it stops.
-"""
+it stops."""
 
 from __future__ import annotations
 
@@ -13,8 +12,7 @@ import numpy as np
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
-from ehbench.control.functions import RULES, pack_rules
-from ehbench.control.records import blank
+from ehbench.control.functions import pack_rules
 from ehbench.control.trajectory import Reference
 from ehbench.machines.protocol import (
     Machine,
@@ -65,8 +63,7 @@ class Stop:
     """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound
     [SI] and when [s].
 
-    ``sentence`` says so in the units of the rig file.
-    """
+    ``sentence`` says so in the units of the rig file."""
 
     limit: str
     channel: str
@@ -79,8 +76,7 @@ class Stop:
 @dataclass(frozen=True)
 class Excess:
     """How far a quantity went beyond its limit after a stop: limit, channel, the value [SI]
-    farthest out and the bound [SI].
-    """
+    farthest out and the bound [SI]."""
 
     limit: str
     channel: str
@@ -111,8 +107,7 @@ class Loop:
     ``laws`` are packed, one a cylinder; none for a user's class, which is loaded when its trial
     begins.
     ``low_side`` [Pa] is where the off-side chamber stands at the start. ``plan`` is what they do
-    together, None of one cylinder by itself.
-    """
+    together, None of one cylinder by itself."""
 
     driven: tuple[Driven, ...]
     laws: tuple[Compiled, ...]
@@ -162,8 +157,7 @@ class Prepared:
     def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
         """True for the valves that go to rest without a ramp when a limit stopped the trial under a
         command [V]: those that only bring oil, so that no load is caught, and those that bring it
-        to the chamber whose pressure is too high.
-        """
+        to the chamber whose pressure is too high."""
         full = stop.channel if stop.limit == "pressure_max" else ""
         shut = []
         for (cylinder, valve), volts in zip(self.rig.valves(), command.tolist(), strict=True):
@@ -183,8 +177,7 @@ class Prepared:
     @property
     def low_side(self) -> dict[str, float]:
         """Pressure [Pa] of the unloaded chambers at the start, by cylinder; those that nobody
-        drives are the machine's own choice, as in the points that gains are tuned at.
-        """
+        drives are the machine's own choice, as in the points that gains are tuned at."""
         loop = self.loop
         return {} if loop is None else {item.design.cylinder: loop.low_side for item in loop.driven}
 
@@ -211,8 +204,7 @@ class Prepared:
 
     def rows(self, machine: Machine, sample: np.ndarray, count: int | None = None) -> Rows:
         """Rows as they are before the first tick; arguments as in `first_rows`, ``sample`` is the
-        present one.
-        """
+        present one."""
         known, t = truth_of(machine) or hidden_of(machine), self.t[:count]
         return Rows(
             t,
@@ -288,24 +280,21 @@ class Prepared:
         ramp, beyond, sentences = float(self.recipe.limits.ramp), [], ""
         samples = rows.samples[span]
         bounds: dict[str, float] = dict(zip(LIMITS, self.limits.tolist(), strict=True))
+        strokes, margin = iter(rows.strokes.tolist()), bounds["stroke_margin"]
         for column, channel in enumerate(machine.channels):
-            word = channel.rsplit(".", 1)[-1]
+            word, ends = channel.rsplit(".", 1)[-1], []  # limit, value, bound: the least or largest
             values = samples[:, column]
             if word in ("p_head", "p_rod"):
-                ends = [("pressure_max", values.max()), ("pressure_min", values.min())]
+                ends.append(("pressure_max", values.max(), bounds["pressure_max"], False))
+                ends.append(("pressure_min", values.min(), bounds["pressure_min"], True))
             elif word == "x":
-                ends = [("stroke_margin", values.min()), ("stroke_margin", values.max())]
+                ends.append(("stroke_margin", values.min(), margin, True))
+                ends.append(("stroke_margin", values.max(), next(strokes) - margin, False))
             elif word == "v":
-                ends = [("speed_max", values[np.argmax(np.abs(values))])]
-            else:
-                continue
-            for at, (limit, value) in enumerate(ends):
-                bound = bounds[limit]
-                if limit == "stroke_margin" and at:
-                    strokes = [name for name in machine.channels if name.endswith(".x")]
-                    bound = float(rows.strokes[strokes.index(channel)]) - bound
-                below = limit == "pressure_min" or (limit == "stroke_margin" and not at)
-                if value < bound if below else abs(value) > bound:
+                fastest = values[np.argmax(np.abs(values))]
+                ends.append(("speed_max", fastest, bounds["speed_max"], False))
+            for limit, value, bound, is_least in ends:
+                if value < bound if is_least else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
                     unit = self.rig.unit_of(word)
                     shown, edge = (
@@ -447,8 +436,8 @@ def _loop(
     standing: bool,
 ) -> Loop:
     model = Model.of(rig, maps)  # one for all: nobody writes into it
-    result = route(recipe, model) if along_path(recipe) else None
-    singles = recipe.singles(None if result is None else result.starts)
+    starts, tables = route(recipe, model) if along_path(recipe) else (None, None)
+    singles = recipe.singles(starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
     else:
@@ -459,7 +448,7 @@ def _loop(
     notes = controllers.other_supply(rig, tuning)
     designs = [controllers.design(single, rig, maps, model) for single in singles]
     notes += tuple(text for item in designs for text in model.creeping(item.cylinder))
-    if result is None and len(singles) == 1:
+    if tables is None and len(singles) == 1:
         motion = rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)
         return Loop(driven, _over(_laws(recipe, driven, tuning), driven), level, notes=notes)
@@ -470,13 +459,15 @@ def _loop(
         desired = single.model_copy(update={} if operated else {"duration": None})
         if standing:
             motions.append(rest(design))
-        elif result is None:
+        elif tables is None:
             motions.append(references(desired, design, low))
         else:
-            motions.append(References(result.tables[design.cylinder]))
+            motions.append(References(tables[design.cylinder]))
     driven = tuple(Driven(*item) for item in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
-    rules = [_rules(item, laws[i] if laws else None) for i, item in enumerate(driven)]
+    supply = float(rig.supply.pressure)  # of a user's class, whose rules are not known
+    rules = [law.rules for law in laws]
+    rules = rules or [pack_rules(item.design.circuit.area_rod, supply) for item in driven]
     share, plan = recipe.motion is not None and recipe.motion.share_flow, None
     if all(item.references.lever is None for item in driven):  # no operator moves them
         driven, plan = planned(driven, rules, level, share)
@@ -529,16 +520,6 @@ def _over(laws: tuple[Compiled, ...], driven: Sequence[Driven]) -> tuple[Compile
     return tuple(
         replace(law, references=table) for law, table in zip(laws, tables_of(driven), strict=False)
     )
-
-
-def _rules(item: Driven, part: Compiled | None) -> np.record:
-    """The rules of function selection of a cylinder: those that its law has."""
-    if part is None:
-        return pack_rules(item.design.circuit.area_rod, float(item.design.rig.supply.pressure))
-    rules = blank(RULES)
-    for name, value in part.used["rules"].items():
-        rules[name] = value
-    return rules
 
 
 def _controlled_valves(loop: Loop) -> tuple[str, ...]:

@@ -109,8 +109,7 @@ def _with_energy(measures: Mapping[str, Any], energy: Mapping[str, Any]) -> dict
 
 class Result(NamedTuple):
     """What a trial leaves: its record, the facts about it, and the model whose states are in the
-    record, where the machine could tell them.
-    """
+    record, where the machine could tell them."""
 
     record: Record
     facts: Facts
@@ -236,8 +235,7 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
 def _on_beats(record: Record, machine: Machine) -> Record:
     """A record of a machine in real time with a row for each of its ticks, those that a late host
     left out among them: samples and commands as the machine sent them, by straight lines where a
-    sample was lost; what only the host knows as it was in the row before.
-    """
+    sample was lost; what only the host knows as it was in the row before."""
     heard = heard_of(machine)
     if heard is None:
         return record
@@ -322,8 +320,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
 
 def _valve_frequencies(rig: Rig, cylinder: str) -> dict[str, list[float]]:
     """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
-    valves follow at once.
-    """
+    valves follow at once."""
     periods = [
         max(rig.dynamics[name].period() for name in valve.series)
         for owner, valve in rig.valves()
@@ -371,8 +368,7 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
     """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
     trial; tracking by its sensor, as late as its samples are known to be, and, where the machine
     knows it, of the ``true`` strokes [m].
-    Without a sensor the speed is the stroke's slope, and pressures are not a number.
-    """
+    Without a sensor the speed is the stroke's slope, and pressures are not a number."""
     prefix = f"{loop.cylinder}."
     channels = {
         name.removeprefix(prefix): record[name][:rows]

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -196,22 +196,16 @@ class Session:
         with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
-            except BaseException:
-                self._let_valves_rest()
+            except BaseException:  # the valves go to rest by the recipe's ramp, whatever ended it
+                rest = self.machine.commands.rest
+                ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
+                if (halt := halt_of(self.machine)) is not None:
+                    halt()
+                with unbroken():
+                    for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
+                        with suppress(Exception):  # one that fails still gets what follows
+                            self.machine.tick((1.0 - share) * self._sent + share * rest)
                 raise
-
-    def _let_valves_rest(self) -> None:
-        """Let the valves go to rest by the recipe's ramp, whatever ended the trial."""
-        rest = self.machine.commands.rest
-        ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
-        if (halt := halt_of(self.machine)) is not None:
-            halt()
-        with unbroken():
-            for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
-                try:
-                    self.machine.tick((1.0 - share) * self._sent + share * rest)
-                except Exception:  # a machine that fails still gets the commands that follow
-                    continue
 
     def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
         first = 0
@@ -256,8 +250,7 @@ class Session:
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
-        rows now: ``stop``, or sooner when ``wait`` is over.
-        """
+        rows now: ``stop``, or sooner when ``wait`` is over."""
         if self._advance is not None and self._step is None:
             row = self._advance(first, stop)
             upto = stop if row < 0 else row
@@ -317,8 +310,7 @@ class Session:
 
     def _halt(self, row: int) -> None:
         """A limit was reached: valves to rest from this row on, by the recipe's ramp, the limits
-        off, the controller silent.
-        """
+        off, the controller silent."""
         self.stop = self.prepared.reached(self.machine, self.rows, row)
         if (halt := halt_of(self.machine)) is not None:
             halt()
@@ -387,14 +379,12 @@ class Session:
     @property
     def true_strokes(self) -> np.ndarray | None:
         """Strokes [m] as they are, shape (rows, cylinders), of a machine that keeps them from its
-        log.
-        """
+        log."""
         return None if self._hidden is None else self.rows.truth[: self.end]
 
     def channels(self, part: slice) -> dict[str, np.ndarray]:
         """Rows of the trial by channel, SI: what the machine measured, or all that a simulation
-        knows; commands; the controller's telemetry.
-        """
+        knows; commands; the controller's telemetry."""
         rows, commands = self.rows, self.rows.commands[part]
         if self._truth is not None:
             channels = self._truth.channels(rows.t[part], commands, rows.truth[part])
@@ -465,8 +455,7 @@ class LiveLog:
 
     def finish(self, record: Record) -> None:
         """Close the log of a trial that came to its end. Its bytes hang on ``record`` alone: a log
-        that a sync cut into chunks, or whose facts have changed since, is written once more.
-        """
+        that a sync cut into chunks, or whose facts have changed since, is written once more."""
         from ehbench.data.logs import write_log
 
         self.close()

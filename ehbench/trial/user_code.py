@@ -1,6 +1,5 @@
 """A user's controller: loads the class, calls it tick by tick, and reports where it went wrong; the
-protocol is in docs/howto/run_trials.md.
-"""
+protocol is in docs/howto/run_trials.md."""
 
 from __future__ import annotations
 
@@ -212,8 +211,7 @@ class UserCode:
 
     def step(self, row: int, t: float, sample: np.ndarray, command: np.ndarray) -> None:
         """One tick: write what the class asks for into ``command``, where it asks, and its notes
-        into their row.
-        """
+        into their row."""
         self.telemetry[row, : len(Reference._fields)] = self.references[row]
         reference = Reference(*self.references[row].tolist())
         answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)

@@ -123,7 +123,7 @@ def _worst_of_draw(
 def draw_parameters(
     rig: Rig,
     names: Sequence[str],
-    correlation: tuple[Sequence[str], Any] | None,
+    correlation: Correlation | None,
     count: int,
     rng: np.random.Generator,
 ) -> np.ndarray:

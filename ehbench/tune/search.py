@@ -156,8 +156,7 @@ class LawSearch:
 
     def _reaching(self, corner: float, ramp: float) -> Law | None:
         """The best law with these washouts that reaches the target and keeps the demands; None
-        where none does.
-        """
+        where none does."""
         able = []
         for law in (Law(corner, off, self.delay, ramp) for off in self.offs):
             remaining = self.gains  # that give every point so far the damping ratio

@@ -95,8 +95,7 @@ def until(true, seconds=120):
 class Lived(NamedTuple):
     """A trial beside which two runs of one recipe were made, and which was then killed: its folder,
     its process; exit codes of the two, what they left, whether that is whole, what lay beside it;
-    ticks that its class had made a second before it was killed.
-    """
+    ticks that its class had made a second before it was killed."""
 
     folder: Path
     process: subprocess.Popen

@@ -100,8 +100,7 @@ def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None)
 
 def run_from(y, model, ax, gains, reference, law, mask=None, memory=None):
     """A trial of a law from a state; ``memory`` is that before the first tick, a channel with
-    ``mask`` False is NaN in what the controller gets.
-    """
+    ``mask`` False is NaN in what the controller gets."""
     layout, count, tick = model.layout, len(reference), float(gains.tick)
     channels = sample_size(len(layout.cylinders))
     names = law.channels("c", tuple(f"e{i}" for i in range(ax.circuit.count)))

@@ -107,8 +107,7 @@ def test_a_hysteresis_that_is_known_is_not_taken_for_a_wrong_map(monkeypatch):
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_a_hysteresis_that_nobody_knows_cancels(factor):
     """Gain and deadband are told apart, every edge to a fifth of the first error; less is left of
-    a wrong gain than half of the hysteresis is in flow.
-    """
+    a wrong gain than half of the hysteresis is in flow."""
     machine = plain_bench(factor)
     command, drop = np.array([3.0]), np.array([2.0e6])
     late = machine.static_flow("boom.hepc", command, drop)

@@ -126,8 +126,7 @@ def test_bandwidths_go_by_the_load():
 
 def test_a_spool_as_fast_as_cartridges_comes_to_rest():
     """At a reference at rest the law goes on through the spool's centre: chosen by the error's sign
-    its opening kept 50 lb swinging by 0.2 mm, with the half of its hysteresis that stays open.
-    """
+    its opening kept 50 lb swinging by 0.2 mm, with the half of its hysteresis that stays open."""
     standard = "thesis_arm_standard.toml"
     four_way: dict[str, Any] = {"rig": f"rigs/{standard}", "bench": f"bench/{standard}"}
     four_way |= {"dynamics": {"boom.spool": "cartridge"}}

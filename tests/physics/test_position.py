@@ -29,8 +29,7 @@ def recipe(motion=MOTION, gains=None, **given):
 
 def ideal(gains, v_d, z_0, seconds, passes=lambda t, v: v):
     """(telemetry by name, stroke error [m]) of an actuator that moves as its metering edge passes
-    oil at standing pressures; ``passes`` (t, speed) is what it makes of that.
-    """
+    oil at standing pressures; ``passes`` (t, speed) is what it makes of that."""
     law = prepare(recipe(gains=gains), SLIDE).loop.laws[0]
     own, count = law.controller, round(seconds / T)
     circuit = own.axis.circuit
@@ -110,8 +109,7 @@ MACHINES = LONG | {"thesis_arm_standard": LONG["thesis_arm"]}
 @pytest.mark.parametrize("name", MACHINES)
 def test_it_works_untuned_on_every_shipped_rig(name, on):
     """A payload that it is not told: within what a valve off by a third leaves, ε v/k, and in
-    the end within 2 mm, of which the benches' sensors and deadbands take most.
-    """
+    the end within 2 mm, of which the benches' sensors and deadbands take most."""
     cylinder, low, high, speed, payload = MACHINES[name]
     motion = {"kind": "point_to_point", "cylinder": cylinder}
     motion |= {"waypoints": [f"{low} m", f"{high} m", f"{low} m"], "hold": "1 s"}

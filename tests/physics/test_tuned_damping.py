@@ -112,8 +112,7 @@ def damped(cylinder, payloads, postures, shares, **more):
 def damped_as_promised(rig, tuning, result):
     """Whether a point promises a steady motion; fail unless its pair swings within 15 % of that.
 
-    A lever that changes by more than half in one swing is no steady motion.
-    """
+    A lever that changes by more than half in one swing is no steady motion."""
     ratio, size = result.damping_ratio_closed, result.natural_frequency_closed
     if not result.counts or 0.5 * abs(result.point.bend) * 2.0 * math.pi / size > 0.5:
         return False
@@ -140,8 +139,7 @@ def damped_as_promised(rig, tuning, result):
 def test_the_running_machine_is_damped_as_promised(name, cylinder, payloads, unlocused):
     """From the answer to small pushes of every state, over 5 ms under the compiled controller, the
     other joints free on their oil; the promise holds them. Left out are most of the arm's points
-    with 100 lb: slow pairs feel its weight change with the posture (docs/explanation/tuning.md).
-    """
+    with 100 lb: slow pairs feel its weight change with the posture (docs/explanation/tuning.md)."""
     rig = shipped(name)
     recipe = damped(cylinder, payloads, 3, (0.3, 0.7))
     tuning = tune_pressure_feedback(prepare_tuning(rig, None, recipe))

@@ -123,8 +123,7 @@ def test_a_pump_has_numbers_without_linear_models(tmp_path):
 
 def test_linear_models_are_the_closed_form_of_a_cylinder_on_a_servo_valve(slide):
     """DC gain and poles of ``m v̇ = A1 p1 − A2 p2 − b v``, ``V ṗ/β = Q − A v`` with orifices
-    ``Q = g u √Δp`` behind a valve of second order (Merritt), from the numbers of the MAT file.
-    """
+    ``Q = g u √Δp`` behind a valve of second order (Merritt), from the numbers of the MAT file."""
     rig, _, files = slide
     known = loadmat(io.BytesIO(files["slide_servo.mat"]), simplify_cells=True)
     gain, beta, mass, b = 2.4e-3 / 60 / 1e3, 9e8, 250.0, 800.0  # flow in m³/s, at √Pa

@@ -221,8 +221,7 @@ METERS = {1: "sh", 2: "rt", 3: "rh", 4: "sr", 5: "ht", 6: "ht", 7: "sh"}
 @pytest.mark.parametrize("seventh", [False, True])
 def test_what_is_called_ok_moves_oil_the_right_way(seventh, choice):
     """Over pressures from cavitation to beyond the supply, predecessors and dwell: OK only where
-    the drop of the metering path is along the flow and the supply carries the load.
-    """
+    the drop of the metering path is along the flow and the supply carries the load."""
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, allow_seventh=seventh, choice=choice)
     pressures, functions = np.linspace(-9e4, 7.2e6, 9), range(8 if seventh else 7)
@@ -368,8 +367,7 @@ def low_passed(c, rules, v_d, tick=1e-3, steady=True):
 
 def test_a_noisy_speed_changes_nothing_and_a_wish_acts_at_once():
     """0.2 mm/s rms about speeds from rest to beyond where a motion begins: no more than one change
-    a second, where the bare speed makes hundreds.
-    """
+    a second, where the bare speed makes hundreds."""
     c, rules, rng = circuit(FIVE), fn.pack_rules(A2, PS), np.random.default_rng(7)
     for mean in (0.0, 1e-4, -2e-4, 3e-4):
         v_d = mean + rng.normal(0.0, 2e-4, 2000)

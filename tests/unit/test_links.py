@@ -412,6 +412,28 @@ def test_a_closed_loop_cannot_be_played():
         over_link(trial(), "buffered", kind=BufferedLink)
 
 
+CARD = """
+[inputs."press.x"]
+terminal = "{0}0"
+scale = 0.1
+offset = 0.16
+[inputs."press.p_head"]
+terminal = "{0}3"
+scale = 1e6
+[outputs."press.servo"]
+"""
+
+
+def played(tmp_path, url, inputs, output):
+    """The record of a table that a card has played, and its commands."""
+    (tmp_path / "card.toml").write_text(CARD.format(inputs) + output)
+    prepared = trial("model", **OPEN)
+    result = run(prepared, open_machine(prepared, f"{url}?map={tmp_path / 'card.toml'}"))
+    command = result.record["press.servo.command"]
+    assert result.facts.stop is None and command.max() == 2.0
+    return result.record, command
+
+
 def test_a_card_plays_a_table(tmp_path, monkeypatch):
     """Against a substitute: what is asked of nidaqmx, in which order."""
     did = []
@@ -446,20 +468,11 @@ def test_a_card_plays_a_table(tmp_path, monkeypatch):
             return [[0.5 * v for v in volts], [0.1 * v for v in volts]]
 
     monkeypatch.setitem(sys.modules, "nidaqmx", SimpleNamespace(Task=Task))
-    (tmp_path / "card.toml").write_text(
-        '[inputs."press.x"]\nterminal = "ai0"\nscale = 0.1\noffset = 0.16\n'
-        '[inputs."press.p_head"]\nterminal = "ai3"\nscale = 1e6\n'
-        '[outputs."press.servo"]\nterminal = "ao0"\nscale = 0.5\n'
-    )
-    prepared = trial("model", **OPEN)
-    machine = open_machine(prepared, f"nidaq://Dev1?map={tmp_path / 'card.toml'}")
-    result = run(prepared, machine)
-    command = result.record["press.servo.command"]
-    assert result.facts.stop is None and command.max() == 2.0
-    np.testing.assert_allclose(result.record["press.x"][1:], 0.16 + 0.025 * command[1:])
-    np.testing.assert_allclose(result.record["press.p_head"][1:], 5e4 * command[1:])
-    assert "press.p_rod" not in result.record and did[-1] == ("write", 0.0)
-    rows = result.record.t.size + 1
+    record, command = played(tmp_path, "nidaq://Dev1", "ai", 'terminal = "ao0"\nscale = 0.5')
+    np.testing.assert_allclose(record["press.x"][1:], 0.16 + 0.025 * command[1:])
+    np.testing.assert_allclose(record["press.p_head"][1:], 5e4 * command[1:])
+    assert "press.p_rod" not in record and did[-1] == ("write", 0.0)
+    rows = record.t.size + 1
     assert (("Dev1/ai0", "Dev1/ai3"), 250.0, "/Dev1/ao/SampleClock", rows) in did
 
 
@@ -488,20 +501,11 @@ def test_a_labjack_streams_a_table(tmp_path, monkeypatch):
     )
     monkeypatch.setitem(sys.modules, "labjack", SimpleNamespace(ljm=ljm))
     monkeypatch.setitem(sys.modules, "labjack.ljm", ljm)
-    (tmp_path / "card.toml").write_text(
-        '[inputs."press.x"]\nterminal = "AIN0"\nscale = 0.1\noffset = 0.16\n'
-        '[inputs."press.p_head"]\nterminal = "AIN3"\nscale = 1e6\n'
-        '[outputs."press.servo"]\nterminal = "DAC0"\nscale = 0.25\noffset = 2.5\n'
-    )
-    prepared = trial("model", **OPEN)
-    result = run(prepared, open_machine(prepared, f"labjack://ANY?map={tmp_path / 'card.toml'}"))
-    command = result.record["press.servo.command"]
-    assert result.facts.stop is None and command.max() == 2.0
-    np.testing.assert_allclose(
-        result.record["press.x"][1:], 0.16 + 0.05 * (0.25 * command[1:] + 2.5)
-    )
+    output = 'terminal = "DAC0"\nscale = 0.25\noffset = 2.5'
+    record, command = played(tmp_path, "labjack://ANY", "AIN", output)
+    np.testing.assert_allclose(record["press.x"][1:], 0.16 + 0.05 * (0.25 * command[1:] + 2.5))
     assert did[0] == ("ANY", "ANY", "ANY") and did[-3:] == ["stop", ("DAC0", 2.5), "close"]
-    assert (result.record.t.size + 1, 3, 250.0) in did
+    assert (record.t.size + 1, 3, 250.0) in did
     assert scanned[-3:] == ["AIN0", "AIN3", "STREAM_OUT0"]
 
 

@@ -422,8 +422,7 @@ def test_what_makes_a_motion_impossible_is_named_by_its_edges():
 @pytest.mark.parametrize("function", range(1, len(FUNCTIONS)))
 def test_pressures_carry_the_load_and_none_falls_below_the_tank(function, force):
     """Where the low pressure off-side would leave too little in the other chamber, that one stands
-    at it instead.
-    """
+    at it instead."""
     none = np.zeros(1)
     here = SimpleNamespace(curvature=none, lever=none + 1.0, damping=none, mass=none)
     here.gravity_force = np.array([force])

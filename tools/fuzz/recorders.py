@@ -142,8 +142,7 @@ def take_draft(given: Written, folder: Path) -> None:
 
 def stacked(rng: Random) -> Written:
     """Tables below one another, under one head that comes again or under others; what the columns
-    called p hold together.
-    """
+    called p hold together."""
     lines, values = [], []
     for table in range(rng.randrange(1, 5)):
         name = "p" if table == 0 else rng.choice("pppx")

@@ -215,8 +215,7 @@ def valve_commands(machine: Machine, u: np.ndarray) -> np.ndarray:
 
 def start_of(machine: Machine, rng: np.random.Generator) -> np.ndarray:
     """The state after it has stood for a while at mid-stroke with shut valves: it creeps, if it
-    leaks.
-    """
+    leaks."""
     n, q = machine.numbers, 0.5 * machine.stroke * (machine.kind == "slide")
     _, lever = stroke_of(n, q)
     rod = rng.uniform(0.15, 0.4) * machine.supply

@@ -23,8 +23,7 @@ class Numbers(NamedTuple):
     ``crane``: 0 a slide of ``inertia`` [kg] and ``damping`` [N·s/m]; 1 one joint, its ``inertia``
     about the axis [kg·m²], ``damping`` [N·m·s/rad], and ``weight`` [N·m] at q = 0, where the load
     hangs level, with pins ``l_a``, ``l_b`` from the joint, ``phase`` and ``retracted`` length.
-    ``spools``: 1 for a four-way valve, 4 for cartridges. ``gain`` and ``deadband`` by edge.
-    """
+    ``spools``: 1 for a four-way valve, 4 for cartridges. ``gain`` and ``deadband`` by edge."""
 
     crane: int
     inertia: float

@@ -1,6 +1,5 @@
 """Right and wrong models of random machines, judged by `ehbench.validation` on logs of the plant of
-this folder: how often a wrong one passes, and a right one does not.
-"""
+this folder: how often a wrong one passes, and a right one does not."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ Change = Callable[[Machine], Machine]
 
 class Error(NamedTuple):
     """A single error: what the machine has beside its draw, what its model has instead, and a
-    pattern of the line that names it.
-    """
+    pattern of the line that names it."""
 
     model: Change
     cause: str
@@ -90,8 +88,7 @@ class Trial:
 class Outcome:
     """What a validation says of a trial: its ``verdict``, what was ``blamed``, the likeliest first,
     and whether one of the first two is the cause; ``shows`` whether the error moves the log by more
-    than its noise. ``skipped`` says why there is no such trial.
-    """
+    than its noise. ``skipped`` says why there is no such trial."""
 
     trial: Trial
     verdict: str = ""
@@ -105,8 +102,7 @@ class Outcome:
 
 class Case(NamedTuple):
     """The files of a trial as texts, whether its error shows in the log, and further logs of the
-    machine for the black box beside the model.
-    """
+    machine for the black box beside the model."""
 
     rig: str
     log: str
@@ -169,8 +165,7 @@ def _shows(model: Machine, done: Recording, rate: bool, noise: float) -> bool:
 
 def miss(trial: Trial) -> float:
     """By how much the model, with the machine's numbers and start, differs from the plant, as the
-    largest share of a channel's range: what is not the verdict's doing.
-    """
+    largest share of a channel's range: what is not the verdict's doing."""
     from ehbench import load_rig
     from ehbench.data import read
     from ehbench.plant.model import Model

@@ -61,8 +61,7 @@ REASONS: dict[str, tuple[str, ...]] = {
 
 class Outcome(NamedTuple):
     """What became of a trial: the ``limit`` that stopped it, the ``lowest`` and ``highest`` true
-    stroke [m], whether the target is at ``rest`` and the log ``whole``.
-    """
+    stroke [m], whether the target is at ``rest`` and the log ``whole``."""
 
     fault: Fault
     limit: str
@@ -80,8 +79,7 @@ class Outcome(NamedTuple):
     @property
     def safe(self) -> bool:
         """Whether it went no farther than the motion and its margin; no command closes a valve that
-        is stuck open.
-        """
+        is stuck open."""
         near = 0.16 - MARGIN < self.lowest and self.highest < 0.19 + MARGIN
         return (near or self.fault.kind == "stuck_open") and self.rest and self.whole
 
@@ -112,8 +110,7 @@ def trial(on: str = "bench", **keys) -> Prepared:
 
 class VirtualLink:
     """A target in this process, whose time the host's vectors drive: the same datagrams, as fast
-    as they can be computed.
-    """
+    as they can be computed."""
 
     virtual = True
 

@@ -98,8 +98,7 @@ class Bed:
 @dataclass(frozen=True)
 class Trial:
     """A parameter, its true value, where a fit starts, and an upper bound where it starts at
-    zero.
-    """
+    zero."""
 
     name: str
     truth: float
@@ -113,8 +112,7 @@ class Outcome:
     quarter of it), ``beside`` (missed by less than the interval's width, as one in twenty is),
     ``twin`` (missed by more, but the logs are the same there), ``untold`` (refused, and the logs
     are the same from a quarter to four times the truth), ``inert`` (refused before anything is
-    simulated) or ``MISSED``; and in words.
-    """
+    simulated) or ``MISSED``; and in words."""
 
     kind: str
     words: str
@@ -304,8 +302,7 @@ def bed(name: str) -> Bed:
 
 def swinging(file: str, wave: np.ndarray) -> dict[str, np.ndarray]:
     """Commands [V] of all valves of an arm under a wave of size one: those that have others for the
-    way back get its positive part.
-    """
+    way back get its positive part."""
     both, out, back = ARMS[file]
     return (
         {valve: size * wave for valve, size in both.items()}
@@ -317,8 +314,7 @@ def swinging(file: str, wave: np.ndarray) -> dict[str, np.ndarray]:
 @lru_cache(maxsize=4)
 def logs_of(name: str, **values: float) -> list[Record]:
     """What the rig of a bed does, with some values in place of its own; starts from below and above
-    go by the same logs.
-    """
+    go by the same logs."""
     item = bed(name)
     return item.logs(item.rig.with_values(values))
 
@@ -329,8 +325,7 @@ def logs_of(name: str, **values: float) -> list[Record]:
 @dataclass(frozen=True)
 class Scale:
     """What a rig's logs reach: drop [Pa], area [m²], flow of the fastest cylinder [m³/s], speed
-    [m/s], command [V], the highest pressure [Pa] of a chamber, and flow of the supply [m³/s].
-    """
+    [m/s], command [V], the highest pressure [Pa] of a chamber, and flow of the supply [m³/s]."""
 
     pressure: float
     area: float
@@ -360,8 +355,7 @@ def scale(name: str) -> Scale:
 
 def truths_of(name: str, parameter: str, given: float) -> tuple[float, ...]:
     """Values that the logs can show: the rig file's, but of what is zero there; of a limit that is
-    never reached there, one that is well and one that is hardly felt.
-    """
+    never reached there, one that is well and one that is hardly felt."""
     s, word = scale(name), parameter.rpartition(".")[2]
     if word in ("relief_pressure", "flow_limit"):
         reached = s.peak if word == "relief_pressure" else s.drawn or 0.6 * s.flow
@@ -453,8 +447,7 @@ def drawn(
     trial: Trial,
 ) -> float:
     """Where the noise of the logs alone would have a parameter, in standard errors off its truth:
-    ``Σ Jᵀe/σ² / √(Σ JᵀJ/σ²)`` by the sensitivities J at the truth, all else known.
-    """
+    ``Σ Jᵀe/σ² / √(Σ JᵀJ/σ²)`` by the sensitivities J at the truth, all else known."""
     step = NEARBY * trial.truth
     others = item.logs(rig.with_values({trial.name: trial.truth + step}))
     pull = known = 0.0
@@ -483,8 +476,7 @@ def rise_of(
 ) -> float:
     """How much −2 log likelihood of what a rig made rises at most at other values of a parameter,
     everything begun where the logs begin; a channel that changes by no more than a share ``faint``
-    of its spread does not count.
-    """
+    of its spread does not count."""
     maximum = 0.0
     for value in values:
         if not possible(item, {parameter: value}):
@@ -512,16 +504,14 @@ def offered(name: str) -> list[str]:
 
 def seed_of(name: str, parameter: str, draw: int = 0) -> int:
     """Of a noise of its own for every parameter of a bed: shipped rigs differ in their channels,
-    beds with other parts have those of the slide or the crane.
-    """
+    beds with other parts have those of the slide or the crane."""
     own = max(0, BEDS.index(name) - len(SHIPPED) + 1)
     return 100_000 * own + 1_000 * draw + 10 * list(bed(name).rig.parameters()).index(parameter)
 
 
 def study(name: str, requested: Sequence[str] = (), draws: int = 1) -> Counter[str]:
     """What a bed is for, or what is asked of it, a line a fit; how often each came of it. Of more
-    draws of the noise than one, fits start from the first place alone.
-    """
+    draws of the noise than one, fits start from the first place alone."""
     counts: Counter[str] = Counter()
     for parameter in requested or offered(name):
         every = list(trials(name, parameter))

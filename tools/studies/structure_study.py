@@ -33,8 +33,7 @@ Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 class Fault(NamedTuple):
     """One fault of a machine: its kind, the machine's rig, what its valve gets of a command, and
-    what its sensors make of a log.
-    """
+    what its sensors make of a log."""
 
     kind: str
     words: str

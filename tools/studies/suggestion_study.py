@@ -38,8 +38,7 @@ def recipe_of(
     name: str, rig: Rig, fault: Fault, seed: int, kinds: Sequence[str], length: float
 ) -> tuple[PreparedFit, list[tuple[str, Record]]]:
     """A recipe of bulk modulus and damping, and logs of a faulty machine, each of a ``length``
-    [s].
-    """
+    [s]."""
     who = next(iter(DRIVES[name][0])).split(".")[0]
     joint = next(item.joint for item in rig.cylinder if item.name == who)
     required = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
@@ -91,8 +90,7 @@ def built(name: str, rig: Rig) -> Iterator[Fault]:
 
 def study(name: str, requested: Sequence[str] = (), rounds: int = ROUNDS, seeds: int = 1) -> None:
     """Every fault of a rig, or those ``asked`` by their words, on some draws of the noise, a line
-    each with the processor's seconds.
-    """
+    each with the processor's seconds."""
     rig, hits, tries = load_rig(RIGS / f"{name}.toml"), Counter(), Counter()
     for fault in built(name, rig):
         for seed in range(seeds if not requested or fault.words in requested else 0):

@@ -75,8 +75,7 @@ LIMITS = GuessSettings()
 class Guess:
     """What a column may be: ``channel`` ('' where nothing is known), the unit of its numbers ('' of
     none), how certain that is, a remark, two points where its numbers are no volts, the offset of
-    an absolute pressure, and why.
-    """
+    an absolute pressure, and why."""
 
     channel: str = ""
     unit: str = ""
@@ -195,8 +194,7 @@ def _placed(
 def words_of(name: str) -> set[str]:
     """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a; and those that a word
     begins or ends with: of ``Systemdruck`` system and druck too; of ``p_P``, pressure at
-    port P, pp. A letter or number behind ``channel`` or ``AI`` counts the recorder's channels.
-    """
+    port P, pp. A letter or number behind ``channel`` or ``AI`` counts the recorder's channels."""
     plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])(?!Sec)", " ", plain)  # mSec are no seconds
     parts = re.findall(r"[^\W\d_]+|\d+", spaced)
@@ -380,8 +378,7 @@ def _span_of(unit: str, known: np.ndarray, low: float) -> tuple[float, float]:
 
 def holds_readings(source: Source) -> bool:
     """Whether a file is of a flowmeter: a column of flow, none of how a cylinder moves, and not the
-    pressures of both its chambers, unless it has no time: then two pressures are of two sides.
-    """
+    pressures of both its chambers, unless it has no time: then two pressures are of two sides."""
     columns = [column for table in source.tables for column in table.columns]
 
     def has(row: str) -> bool:

@@ -26,8 +26,7 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
     """A root locus a payload, upper half plane, on a grid of damping ratios: choice and stability
     limit marked.
 
-    Where the stability limit lies far out, what swings comes first, and the way to it below.
-    """
+    Where the stability limit lies far out, what swings comes first, and the way to it below."""
     whole = tuple(pick(item["frame"][i] for item in loci) for i, pick in enumerate((min, max, max)))
     reach, frames = max(map(_swing, loci)), {"": whole}
     if whole[2] > 3.0 * 1.4 * reach:

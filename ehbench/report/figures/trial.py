@@ -369,8 +369,7 @@ def demanded(rig: Rig, record: Record) -> np.ndarray | None:
 def load_plane(path: Path, rig: Rig, record: Record, cylinder: str) -> None:
     """``load_force`` over ``v``, a colour for each working function; dashed what the supply's
     pressure can push and pull with nothing against it. Force and speed of one sign: the load
-    resists; of two signs: it drives.
-    """
+    resists; of two signs: it drives."""
     areas = next(item for item in rig.cylinder if item.name == cylinder).areas()
     pressures = (record[f"{cylinder}.p_head"], record[f"{cylinder}.p_rod"])
     force = areas[0] * pressures[0] - areas[1] * pressures[1]

@@ -34,8 +34,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 def draw_margins(path: Path, rig: Rig, tuning: Table) -> None:
     """The stated delay margin and the gain margin at the worst points over the sum of bandwidths,
     with what is demanded and the choice; right of them the characteristic loci of the worst point,
-    the unit circle and the critical point.
-    """
+    the unit circle and the critical point."""
     tried = tuning["candidates"]
     x = shown(rig, "position_bandwidth", np.array([item["sum"] for item in tried]))
     gains = np.array([item.get("gain_margin") or np.nan for item in tried], float)

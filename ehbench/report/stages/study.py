@@ -239,8 +239,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 
 def _case_tables(run: Saved, page: Template, study: Table) -> list[Block]:
     """How the samples of each named case ended, their measures, and what ended the first that was
-    not completed; empty without cases.
-    """
+    not completed; empty without cases."""
     import pandas as pd
 
     if all(item["key"] != "case" for item in study["inputs"]):

@@ -187,8 +187,7 @@ def trials_findings(run: Saved) -> Findings:
 def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     """The largest error of the controller that tracks best, of motions that are no steps: that of
     the tip where there is one, of the true stroke where it is known. A four-way valve that others
-    are compared with is no choice.
-    """
+    are compared with is no choice."""
     spools = [item.case for item in savings_of(cases) if item.is_spool]
     fit = [case for case in cases if case.fit and not case.steps]
     fit = [case for case in fit if case not in spools] or fit

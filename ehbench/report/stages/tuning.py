@@ -383,8 +383,7 @@ def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
 
 def reached_demands(rig: Rig, demands: Mapping[str, Any], reached: Mapping[str, Any]) -> str:
     """Lines of a recipe that ask for what was reached of the demands that were missed; '' where
-    the loop swings with any gains.
-    """
+    the loop swings with any gains."""
     lines = []
     for word, demand in demands.items():
         value, name = reached.get(word), "natural_frequency" if word == "bandwidth" else word

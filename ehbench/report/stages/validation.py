@@ -244,8 +244,7 @@ def held_out(table: Table) -> list[Table]:
 
 def doubts(table: Table) -> list[Mapping[str, Any]]:
     """The fields of what speaks against a model and can be put right: what is odd about its logs,
-    then what explains a tenth more of a residual before what explains less.
-    """
+    then what explains a tenth more of a residual before what explains less."""
     against = [*table["reasons"], *table.get("reservations", [])]
     every = [getattr(item, "fields", {}) for item in against]
     every = [fields for fields in every if fields.keys() & {"remedy", "where"}]

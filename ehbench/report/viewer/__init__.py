@@ -193,8 +193,7 @@ def _packed(values: np.ndarray, kind: str) -> str:
 
 def extremes(x: np.ndarray, y: np.ndarray, maximum: int) -> tuple[np.ndarray, np.ndarray]:
     """At most ``maximum`` points that keep every extreme: the first and the second half of each
-    stretch stand for its least and largest sample, in the order in which these come.
-    """
+    stretch stand for its least and largest sample, in the order in which these come."""
     if x.size <= maximum:
         return x, y
     size = -(-2 * x.size // maximum)
