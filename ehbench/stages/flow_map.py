@@ -12,7 +12,7 @@ from ehbench.config.recipe.columns import LEAVE_OUT
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
-from ehbench.stages.inputs import Inputs, Logs, RigState
+from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
@@ -20,6 +20,7 @@ from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
+    from ehbench.config.rig import Rig
     from ehbench.data.flowmeter import FlowmeterData
     from ehbench.flow_maps.tables import PreparedReadings
 
@@ -45,7 +46,8 @@ ERRORS = MachineErrors()
 @dataclass(frozen=True)
 class PreparedMaps(Prepared):
     """Readings by edge, None where a dry run finds none that can be read; the logs that they are
-    from, if any."""
+    from, if any.
+    """
 
     recipe: FlowMapRecipe
     state: RigState
@@ -62,36 +64,12 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     writes = "flow_maps.json, flow_maps.csv, summary.json, points.csv, rig.toml, figures"
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
-        from ehbench.data.flowmeter import read_flowmeter
         from ehbench.flow_maps.tables import prepare_readings
 
-        state, logs = inputs.rig_state(recipe.rig), None
-        rig, from_logs = state.rig, recipe.method == "steps"
-        parts, files, maps, lossy = [], [], [], []
-        if from_logs:
-            from ehbench.flow_maps.step_readings import step_readings
-            from ehbench.plant.model import Model
-
-            logs, model = inputs.logs(recipe.data, rig), Model.of(rig)
-            files += logs.files
-            for name, record in logs.records:
-                with inputs.notes.collected():
-                    times = float(recipe.settle), float(recipe.span)
-                    parts.append(part := step_readings(name, record, model, *times))
-                    _note_readings(name, part, inputs)
-        for index, item in enumerate(() if from_logs else recipe.data):
-            with inputs.notes.collected():
-                columns = inputs.columns(item, index)
-                files.append(("data", path := inputs.existing(item.path)))
-                maps += [("columns", file) for file in (() if columns is None else columns.files)]
-                leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
-                lossy += [path.name] * leave_out  # whose bad samples are left out
-                supply = float(rig.supply.pressure)
-                part = read_flowmeter(path, columns, supply_pressure=supply, leave_out=leave_out)
-                parts.append(part)
-                _note_readings(item.path, part, inputs)
-                inputs.notes.remarks += part.warnings
-        files += dict.fromkeys(maps)
+        state = inputs.rig_state(recipe.rig)
+        from_logs = recipe.method == "steps"
+        take = _of_logs if from_logs else _of_files
+        parts, files, leave_out, logs = take(recipe, inputs, state.rig)
         inputs.notes.add("undecided", message("stages.map_supported"))
         does = message(
             "stages.does_flow_map",
@@ -99,7 +77,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             readings=sum(map(len, parts)),
             source=plural(len(recipe.data), "log" if from_logs else "file"),
         )
-        readings = prepare_readings(rig, parts, lossy) if parts else None
+        readings = prepare_readings(state.rig, parts, leave_out) if parts else None
         if readings is not None and not from_logs:
             inputs.notes.add("losses", *(f"lost: {loss}" for loss in readings.losses))
         return PreparedMaps(recipe, (*state.inputs, *files), does, state, readings, logs)
@@ -163,6 +141,43 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         facts |= {"details": details} if details else {}
         lost = losses or (without and recipe.method != "steps")
         return Work(facts, code=INCOMPLETE if lost else DONE)
+
+
+_Readings = tuple[list["FlowmeterData"], NamedFiles, list[str], Logs | None]
+
+
+def _of_files(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
+    """(readings of flowmeter files, the files, those whose bad samples are left out, None)."""
+    from ehbench.data.flowmeter import read_flowmeter
+
+    parts, files, maps, lossy, supply = [], [], [], [], float(rig.supply.pressure)
+    for index, item in enumerate(recipe.data):
+        with inputs.notes.collected():
+            columns = inputs.columns(item, index)
+            files.append(("data", path := inputs.existing(item.path)))
+            maps += [("columns", file) for file in (() if columns is None else columns.files)]
+            leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
+            lossy += [path.name] * leave_out
+            part = read_flowmeter(path, columns, supply_pressure=supply, leave_out=leave_out)
+            parts.append(part)
+            _note_readings(item.path, part, inputs)
+            inputs.notes.remarks += part.warnings
+    return parts, (*files, *dict.fromkeys(maps)), lossy, None
+
+
+def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
+    """(readings that step logs give, their files, none, the logs)."""
+    from ehbench.flow_maps.step_readings import step_readings
+    from ehbench.plant.model import Model
+
+    logs = inputs.logs(recipe.data, rig)
+    model, parts = Model.of(rig), []
+    for name, record in logs.records:
+        with inputs.notes.collected():
+            part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
+            parts.append(part)
+            _note_readings(name, part, inputs)
+    return parts, logs.files, [], logs
 
 
 def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:
