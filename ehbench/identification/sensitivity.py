@@ -175,7 +175,7 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
         row
         for row in (row.without(simulator.names, ()) if row.edits else row for row in rows)
         if row.row.step != 0.0
-        and (row.level > 0 or row.kind == "gain")
+        and (not row.alike or row.kind == "gain")
         and row.kind != "drift"
         and (row.numbers or row.readings)
         and not {*row.parameters} & {*simulator.names}

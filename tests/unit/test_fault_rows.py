@@ -28,10 +28,9 @@ def test_valves_of_a_cylinder_share_what_lies_before_them():
     """Two cartridges with the same dynamics: each by itself, both together."""
     rows = rows_of("boom_four_valve", ("q", "p_head"), ("boom.sh", "boom.rt"))
     both = {about: row for (kind, about), row in rows.items() if kind == "saturation"}
-    assert {about: row.level for about, row in both.items()} == {
-        "the drive of boom.sh": 1, "the drive of boom.rt": 1, "the drive of boom.sh+rt": 2,
-        "boom.sh": 1, "boom.rt": 1, "boom.sh+rt": 2,
-    }  # fmt: skip
+    whole = "the drive of boom.sh", "the drive of boom.rt", "the drive of boom.sh+rt"
+    assert both.keys() == {*whole, "boom.sh", "boom.rt", "boom.sh+rt"}
+    assert not any(row.alike for row in both.values())
     assert both["the drive of boom.sh+rt"].parameters == (
         "boom.sh.drive_limit",
         "boom.rt.drive_limit",
@@ -58,14 +57,16 @@ def test_a_spool_has_a_neutral_and_parts_that_count_together():
     assert rows["neutral", "press.servo"].readings == (("press.servo.command", "offset", 10.0),)
     assert rows["command sign", "press.servo"].bounds == (-2.0, 0.0)
     parts = [row for (kind, _), row in rows.items() if kind == "preload"]
-    assert [(row.level, len(row.numbers)) for row in parts] == [(0, 1), (0, 1), (1, 2)]
-    assert rows["overlap", "press.servo"].level == 1
+    assert [(row.alike, len(row.numbers)) for row in parts] == [(True, 1), (True, 1), (False, 2)]
+    assert not rows["overlap", "press.servo"].alike
     # the speed is of the stroke's sensor, whose offset it does not show
     assert ("sensor offset", "press.x") not in rows and ("sensor offset", "press.v") not in rows
     offset = rows["sensor offset", "press.p_head"]
     spread = float(np.std(np.sin(9.0 * T)))
     assert offset.readings == (("press.p_head", "offset", pytest.approx(spread)),)
-    assert rows["sensor scale", "press.x"].readings == (("press.x", "scale", 1.0),)
+    scale = rows["sensor scale", "press.x"]
+    assert (scale.readings, scale.cylinder) == ((("press.x", "scale", 1.0),), "press")
+    assert rows["command sign", "press.servo"].cylinder == "press"
     plain = rows_of("slide_servo", ("p_head",), ("press.servo",))
     assert not any(about in ("press.x", "press.v") for _, about in plain)
 

@@ -483,25 +483,28 @@ def test_residuals_follow_what_goes_along_with_them():
     channels["press.p_head"] = np.zeros(t.size)
     error = 0.3 * noise + np.where(t < 12.0, np.sign(v), 0.0)
     case: Any = Stub(name="log", channels=("press.p_head",), blocks=lambda y: y)
-    case.record, case.recorded = Record(t, channels), {"press.p_head": np.zeros(t.size)}
-    found = {item.what: item for item in followed(case, Record(t, {"press.p_head": error}))}
+    case.record = Record(t, channels)
+    case.recorded = {"press.p_head": np.cos(t)}  # of which no error is made
+    shown = Record(t, {"press.p_head": error + np.cos(t)})
+    found = {item.what: item for item in followed(case, shown)}
     best = max(found.values(), key=lambda item: abs(item.correlation))
     assert best.what == "direction" and best.channel == "press.p_head"
     assert best.correlation == pytest.approx(1.0 / math.sqrt(1.0 + 0.09 / 0.6), abs=0.01)
-    assert "speed" in found and not {"position", "time", "command of press.servo"} & set(found)
+    assert found.keys() == {"direction", "speed"}
+    assert not [*followed(case, Record(t, {"press.p_head": np.cos(t) + 1.0}))]
     assert 0.0 < best.band < 0.7
 
 
 def test_alike_faults_are_asked_of_each_part_of_each_valve_and_of_all_valves():
     """Of a spool's edges and of two cartridges; a driver without minus has no neutral."""
     spool = rows_of(shipped("slide_servo"), "gain")
-    assert [(row.level, len(row.numbers)) for row in spool] == [(0, 1)] * 4 + [(1, 4)]
+    assert [(row.alike, len(row.numbers)) for row in spool] == [(True, 1)] * 4 + [(False, 4)]
     assert spool[-1].about == "press.servo"
     rig = shipped("boom_four_valve")
     log = clean_log("boom_four_valve", rig, "steps", duration=1.0)
     rows = hypotheses(rig, ["boom"], ["boom.qd", "boom.p_head"], [log])
     gains = [row for row in rows if row.kind == "gain"]
-    assert [(row.level, len(row.numbers)) for row in gains] == [(1, 1)] * 2 + [(2, 2)]
+    assert [(row.alike, len(row.numbers)) for row in gains] == [(False, 1)] * 2 + [(False, 2)]
     kinds = {row.kind for row in rows}
     assert "neutral" not in kinds and {"drift", "sensor lag", "sensor scale"} <= kinds
     assert len(rows_of(shipped("slide_servo"), "neutral")) == 1

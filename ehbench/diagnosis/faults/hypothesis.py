@@ -78,8 +78,8 @@ class Number:
 class Hypothesis:
     """A fault that a machine may have: a row of the table, what it is ``about``, the ``numbers``
     that it moves, the ``readings`` (channel, word of a sensor, SI per δ), the ``edits`` of the rig
-    file's tables, and the ``cylinder`` whose logs it changes, empty for all. ``level`` is 0 of a
-    part among several alike, 1 of a valve or another part, 2 of all valves of a cylinder."""
+    file's tables, and the ``cylinder`` whose logs it changes, empty for all. ``alike``
+    is of a part among several that may have it together."""
 
     row: Fault
     about: str
@@ -87,7 +87,7 @@ class Hypothesis:
     readings: tuple[tuple[str, str, float], ...] = ()
     edits: tuple[Edit, ...] = ()
     cylinder: str = ""
-    level: int = 1
+    alike: bool = False
 
     @property
     def kind(self) -> str:
@@ -311,14 +311,13 @@ class Hypothesis:
         return tuple(results)
 
 
-def joined(several: Sequence[Hypothesis], about: str, level: int) -> Hypothesis:
+def joined(several: Sequence[Hypothesis], about: str) -> Hypothesis:
     """Faults of one kind together."""
     return replace(
         several[0],
         about=about,
         numbers=tuple(number for item in several for number in item.numbers),
         edits=tuple(edit for item in several for edit in item.edits),
-        level=level,
     )
 
 
