@@ -5,6 +5,7 @@ from types import SimpleNamespace as Stub
 import numpy as np
 import pytest
 
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
 from tests.shared import shipped, slide
@@ -54,6 +55,8 @@ def test_valves_of_a_cylinder_share_what_lies_before_them():
 def test_a_spool_has_a_neutral_and_parts_that_count_together():
     rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",))
     assert rows["delay", "press.servo"].parameters == ("press_servo_delay.delay",)
+    numbers = {name for row in rows.values() for name in row.parameters}
+    assert "press_servo_lag.lag" not in numbers  # of a valve whose dynamics are known
     assert rows["neutral", "press.servo"].readings == (("press.servo.command", "offset", 10.0),)
     assert rows["command sign", "press.servo"].bounds == (-2.0, 0.0)
     parts = [row for (kind, _), row in rows.items() if kind == "preload"]
@@ -71,6 +74,26 @@ def test_a_spool_has_a_neutral_and_parts_that_count_together():
     assert not any(about in ("press.x", "press.v") for _, about in plain)
 
 
+@pytest.mark.parametrize(
+    ("kind", "bounds", "step", "trials"),
+    [  # in spreads of a channel, shares of a scale, seconds, largest commands; a sign is turned
+        ("sensor offset", (-3.0, 3.0), 0.02, ()),
+        ("sensor scale", (-0.7, 2.0), 0.02, ()),
+        ("sensor lag", (0.0, 0.1), 0.002, ()),
+        ("sensor sign", (-2.0, 0.0), 0.0, (-2.0,)),
+        ("neutral", (-0.2, 0.2), 0.005, ()),
+        ("command sign", (-2.0, 0.0), 0.0, (-2.0,)),
+        ("late command", (-0.05, 0.0), -0.001, (-0.01, -0.02, -0.04)),
+        ("drift", (-0.6, 1.0), 0.02, ()),
+    ],
+)
+def test_how_far_sensors_and_commands_may_be_off(kind, bounds, step, trials):
+    rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",))
+    row = next(row for (of, _), row in rows.items() if of == kind)
+    assert (row.bounds, abs(row.inside), row.row.trials) == (bounds, abs(step), trials)
+    assert row.inside * step >= 0.0
+
+
 @pytest.mark.parametrize(("share", "drive"), [(1.0, True), (0.0, False)])
 def test_a_drive_is_asked_where_commands_of_several_sizes_show_it(share, drive):
     one = np.where(np.abs(LEVELS) == 10.0, LEVELS, share * LEVELS)
@@ -81,12 +104,46 @@ def test_a_drive_is_asked_where_commands_of_several_sizes_show_it(share, drive):
 
 
 def test_of_an_fmu_is_asked_what_it_takes_and_its_sensors():
-    model = Stub(settable=["bulk_modulus", "carriage.mass"], numbers={})
+    model = Stub(settable=["bulk_modulus"], numbers={})
     rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",), model=model)
     numbers = {name for row in rows.values() for name in row.parameters}
-    assert numbers == {"bulk_modulus", "carriage.mass"}
+    assert numbers == {"bulk_modulus"}
     assert {"late command", "sensor lag", "neutral"} <= {kind for kind, _ in rows}
     assert not any(row.edits and not row.readings for row in rows.values())
+
+
+def test_a_payload_is_asked_of_that_a_log_carries():
+    rig, (owner, *_) = shipped("crane_proportional"), shipped("crane_proportional").cylinder
+    for load in ("none", *rig.payload):
+        log = Record(T, {f"{owner.name}.{owner.valve[0].name}.command": LEVELS}, {"payload": load})
+        rows = hypotheses(rig, [owner.name], [], [log])
+        about = {row.about.partition(".")[0] for row in rows if row.kind == "payload"}
+        assert about == {load} - {"none"}
+        assert hypotheses(rig, [], [], [log]) == []
+
+
+def test_of_a_spool_whose_flows_are_measured_the_other_edge_is_asked():
+    """A gain is of the valve, what no more opening adds is of the edge; an underlap stands for a
+    deadband."""
+    rig = shipped("slide_servo")
+    names = [rig.cylinder[0].valve[0].edge_name(edge) for edge in rig.cylinder[0].valve[0].edge]
+    log = Record(T, {"press.servo.command": LEVELS})
+    rows = hypotheses(rig, ["press"], [], [log], dict.fromkeys(names[1:], Stub()))
+    about = {row.kind: [] for row in rows}
+    for row in rows:
+        about[row.kind].append(row.about)
+    assert about["deadband"] == ["press.servo"] and "overlap" not in about
+    assert about["gain"][0] == "press.servo" and len(about["gain"]) == len(names)
+    assert {*about["saturation"]} == {f"press.{names[0]}", "the drive of press.servo"}
+    whole = rig.as_toml()
+    for edge in whole["cylinder"][0]["valve"][0]["edge"][:1]:
+        edge.pop("deadband", None)
+        edge["underlap"] = "0.2 V"
+    rows = hypotheses(Rig.model_validate(whole), ["press"], [], [log])
+    numbers = {kind: {n for row in rows if row.kind == kind for n in row.parameters}
+               for kind in ("deadband", "underlap")}  # fmt: skip
+    assert numbers["underlap"] == {f"press.{names[0]}.underlap"}
+    assert numbers["deadband"] == {f"press.{name}.deadband" for name in names[1:]}
 
 
 def test_a_spring_on_the_rod_that_nobody_wrote_down():

@@ -684,8 +684,8 @@ def test_white_noise_alone_is_asked_of_no_fixed_number(extra, noise):
 def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells():
     """Drift, parts among several, readings that are estimated or seen as a spectrum."""
 
-    def row(name, kind="mass", level=1, step=0.02, numbers=True, readings=()):
-        item: Any = Row(name=name, kind=kind, level=level, row=Stub(step=step), edits=())
+    def row(name, kind="mass", alike=False, step=0.02, numbers=True, readings=()):
+        item: Any = Row(name=name, kind=kind, alike=alike, row=Stub(step=step), edits=())
         item.parameters, item.numbers, item.readings = (name,), (1,) if numbers else (), readings
         return item
 
@@ -694,8 +694,8 @@ def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells()
         row("a"),
         row("fitted"),
         row("no slope", step=0.0),
-        row("part", level=0),
-        row("gain of a part", "gain", level=0),
+        row("part", alike=True),
+        row("gain of a part", "gain", alike=True),
         row("drift", "drift"),
         row("nothing", numbers=False),
         row("known", numbers=False, readings=speed),

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace as Stub
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from ehbench import diagnosis
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis import Case, ask
+from ehbench.diagnosis import Case, ask, pins
 from ehbench.diagnosis.faults import COMMANDS, DRIFT, LATE, SENSORS, TABLE, hypotheses, hypothesis
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
@@ -28,6 +29,7 @@ from ehbench.preprocessing.observations import commanded
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import correlation_time
 from ehbench.validation import validate_rig
+from ehbench.vocabulary.errors import EhbenchError
 from tests.shared import RIGS, shipped, slide
 from tools.studies.structure_study import Fault, asked, faults, log_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
@@ -285,6 +287,38 @@ def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
     assert commanded(model, rest) == ()
     assert ask([Case("rest", rest, model, ())]).findings == ()
     assert ask([]).findings == ()
+
+
+def test_the_log_that_is_farthest_off_tells_of_pins(monkeypatch):
+    monkeypatch.setattr(pins, "off_pins", lambda record, model: record)
+    model = Stub(rig=shipped("crane_proportional"))
+    offs = ({"lift": 0.01}, {}, {"lift": -0.02}, {"lift": 0.015})
+    logs: Any = [Stub(name=f"log {k}", record=off, model=model) for k, off in enumerate(offs)]
+    ((name, sentence, _, off),) = pins.disagreements(logs)
+    assert (name, off) == ("lift", -0.02) and "of log 2 disagree with the pins by 20" in sentence
+
+
+def test_cylinders_take_turns_and_one_thing_is_told_once(monkeypatch):
+    """Four of each at most, after what stroke and angle say; what cannot be asked is left out."""
+    given = {"a": "uvwxyz", "b": "qu"}
+    names = {kind: diagnosis.Finding(kind, "it", "", "", 0.6, 1.0) for kind in "qtuvwxyz"}
+    search = lambda group: Stub(findings=lambda: [names[k] for k in given[group[0][0].cylinders]])
+    monkeypatch.setattr(diagnosis, "_Search", search)
+    monkeypatch.setattr(diagnosis, "followed", lambda case, simulated: [case.name])
+    off = lambda cases: [("a", "off", "look", 0.01)] if len(cases) == 3 else []
+    monkeypatch.setattr(diagnosis, "disagreements", off)
+
+    def case(name, owner, channels="p", error=None):
+        simulated = Mock(side_effect=error)
+        return Stub(name=name, cylinders=owner, channels=channels, simulated=simulated, left=str)
+
+    failed = case("failed", "b", error=EhbenchError("no"))
+    cases: Any = [case("1", "a"), failed, case("still", "b", ""), case("2", "b"), case("3", "a")]
+    found = ask(cases)
+    first, *others = found.findings
+    assert [item.kind for item in others] == ["u", "q", "v", "w", "x"]
+    assert first == diagnosis.Finding("pins", "a", "off", "look", 1.0, 0.01, 0.0)
+    assert found.follows == ("1", "2", "3")
 
 
 # --- the search for faults, in closed form

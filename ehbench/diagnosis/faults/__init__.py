@@ -193,17 +193,14 @@ class _Rows:
             valve = owner.valve[place[3]] if "valve" in place else None
             shown = owner in self.cylinders and (valve is None or valve in self.moved[owner.name])
             return Scales(self.rig, owner, valve, self.records, part=part) if shown else None
-        if isinstance(part, LinkLoad):
-            carried = any(payload_of(log) == place[1] for log in self.records)
-            if not carried or not self.cylinders:
-                return None
-            return Scales(self.rig, self.cylinders[0], None, self.records, part=part)
-        name = prefix.removesuffix(".")
         if place[0] == "supply" and all(supplied(log) for log in self.records):
             return None
+        carried = {("payload", payload_of(log)) for log in self.records}
+        wide = place[0] in ("oil", "supply") or place[:2] in carried
+        name = prefix.removesuffix(".")
         for owner in self.cylinders:
             series = [item for valve in self.moved[owner.name] for item in valve.series]
-            if name in (owner.joint, *series) or place[0] in ("oil", "supply"):
+            if wide or name in (owner.joint, *series):
                 return Scales(self.rig, owner, None, self.records, part=part)
         return None
 
@@ -272,9 +269,8 @@ class _Rows:
             return fault.law == law
         if key == "cracking_pressure":
             return rules.metering and part.to == "tank"
-        if not isinstance(part, Edge) or not rules.has_deadband:
-            return False
-        return key != "deadband" or part.underlap is None
+        underlaps = f"{name}.underlap" in self.known
+        return rules.has_deadband and not (key == "deadband" and underlaps)
 
     def _times(self, owner: Cylinder, valves: Sequence[Valve]) -> Iterator[Hypothesis]:
         """A delay, and a lag where they have none, between the commands of valves with the same
