@@ -55,7 +55,7 @@ class Case:
         it.
         """
         true = self._start.record
-        start = self._start.begin(self.model, self._shifts)[0]
+        start, _ = self._start.begin(self.model, self._shifts)
         return sensed(self.model.replay(true, AUTO, start=start), self.terms, self.bias)
 
     def run_of(self, fault: Hypothesis, delta: float) -> Replay:
@@ -68,8 +68,9 @@ class Case:
         model = self.model if rig is self.model.rig else model_of(rig, self.maps)
         record = fault.record(self.record, delta)
         true = corrected(record, *fault.terms(self.terms, self.bias, delta))
-        start = self._start if true is self._start.record else replace(self._start, record=true)
-        return Replay(model, true, start.begin(model, self._shifts)[0])
+        begin = self._start if true is self._start.record else replace(self._start, record=true)
+        start, _ = begin.begin(model, self._shifts)
+        return Replay(model, true, start)
 
     def seen(self, replayed: Record, fault: Hypothesis, delta: float) -> Record:
         """A simulation with a fault of size δ as the log's sensors show it."""

@@ -41,6 +41,7 @@ def test_valves_of_a_cylinder_share_what_lies_before_them():
     assert late.readings == delay.readings == tuple((c, "delay", 1.0) for c in commands)
     assert drift.readings == tuple((c, "drift", 1.0) for c in commands)
     assert (late.cylinder, late.bounds, late.inside) == ("boom", (-0.05, 0.0), -0.001)
+    assert delay.remedy(shipped("boom_four_valve"), 0.01).key == "faults.add_lines"
     added, *lines = delay.edits
     assert delay.parameters == ("boom_delay.delay",) and added[:2] == (("dynamics",), "boom_delay")
     rig = shipped("boom_four_valve")
@@ -57,6 +58,9 @@ def test_a_spool_has_a_neutral_and_parts_that_count_together():
     assert rows["delay", "press.servo"].parameters == ("press_servo_delay.delay",)
     numbers = {name for row in rows.values() for name in row.parameters}
     assert "press_servo_lag.lag" not in numbers  # of a valve whose dynamics are known
+    (number,) = rows["saturation", "the drive of press.servo"].numbers
+    assert (number.here, number.unit, number.upper) == (10.0, 10.0, 12.0)
+    assert number.starts == (8.5, 6.0)
     assert rows["neutral", "press.servo"].readings == (("press.servo.command", "offset", 10.0),)
     assert rows["command sign", "press.servo"].bounds == (-2.0, 0.0)
     parts = [row for (kind, _), row in rows.items() if kind == "preload"]

@@ -24,7 +24,7 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.parts.fault import Amount
 from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
-from ehbench.plant.ties import RECORDED, SUPPLY
+from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 from ehbench.preprocessing.observations import commanded
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import correlation_time
@@ -216,7 +216,17 @@ def test_remedies_of_what_was_fitted_and_of_a_late_command():
     names = [name for name in rig.parameters() if name.endswith("flow_gain")]
     fitted = rig.with_values({n: replace(rig.parameters()[n], sure="identified") for n in names})
     for given, key in ((rig, "faults.free"), (fitted, "faults.fitted")):
-        assert {row.remedy(given, 0.1).key for row in rows_of(given, "gain")} == {key}
+        rows = rows_of(given, "gain")
+        assert {row.remedy(given, 0.1).key for row in rows} == {key}
+        assert [rows[0].sentence(given, by).key for by in (0.1, -0.1)] == [
+            "faults.gain_more",
+            "faults.gain_less",
+        ]
+    fields, gain = rows[0]._fields(rig, -0.1), float(rig.parameters()[rows[0].parameters[0]])
+    shares = {"percent": 10.0, "rest": 90.0, "ms": 100.0, "volts": 0.0}
+    assert {key: fields[key] for key in shares} == pytest.approx(shares)
+    shown = [rig.shown(rows[0].parameters[0], share * gain, 3) for share in (0.1, 0.9)]
+    assert [fields["by"], fields["value"]] == shown
     (delay,) = rows_of(rig, "delay")
     assert delay.remedy(rig, 0.01).key == "faults.free_sensor"
     (late,) = rows_of(rig, "late command")
@@ -367,6 +377,53 @@ def test_a_gain_counts_beyond_chance(gain, of, noise, count, counts):
     assert search_of(U, noise, count)._counts(gain, of) == counts
 
 
+def test_faults_of_a_search_have_a_slope_or_sizes_to_try(monkeypatch):
+    """Of all cylinders and channels of its logs; the model has the payload as its load."""
+    search, given = search_of(U), []
+    rig, maps = Stub(), Stub()
+    some = {"record": "log", "maps": maps, "model": Stub(rig=rig)}
+    search.cases = [Stub(cylinders=c, channels=c * 2, **some) for c in ("ab", "bc")]
+    rows = {
+        name: Hypothesis(Row(name, step=step, trials=trials), name)
+        for name, step, trials in (
+            ("slope", 0.1, ()),
+            ("back", -0.1, ()),
+            ("payload", 0.1, ()),
+            ("trials", 0.0, (1.0,)),
+            ("neither", 0.0, ()),
+        )
+    }
+    asked = lambda *about: given.extend(about) or [*rows.values()]
+    monkeypatch.setattr(diagnosis, "hypotheses", asked)
+    assert [item.about for item in search._faults()] == ["slope", "back", "trials"]
+    assert given == [rig, [*"abc"], [*"abc"], ["log", "log"], maps]
+
+
+def test_a_fault_is_run_along_the_logs_of_its_cylinder(monkeypatch):
+    """What no rig has, what stops and what comes to nothing finite leaves nothing."""
+    search = search_of(U)
+    search.left = [U, V]
+
+    def case(owner):
+        def run_of(fault, delta):
+            if fault.kind == "no rig":
+                raise ValueError
+            return fault.kind
+
+        ends = lambda replayed, fault, delta: math.nan if replayed == "nan" else delta
+        return Stub(cylinders=(owner,), run_of=run_of, seen=ends, left=lambda delta: delta * W)
+
+    search.cases = [case("a"), case("b")]
+    stops = lambda runs, step: [None if run == "stops" else run for run in runs]
+    monkeypatch.setattr(diagnosis, "replay_many", stops)
+    points = [(Hypothesis(Row("one"), "x", cylinder="b"), 2.0), (Hypothesis(Row("all"), "x"), 3.0)]
+    points += [(Hypothesis(Row(kind), "x"), 1.0) for kind in ("no rig", "stops", "nan")]
+    (one, every, *others) = search._at(points)
+    np.testing.assert_array_equal(one, [U, 2.0 * W])
+    np.testing.assert_array_equal(every, [3.0 * W, 3.0 * W])
+    assert others == [None, None, None]
+
+
 def test_beside_the_best_fault_stands_what_explains_most_of_the_rest():
     left = 10.0 * U + 9.0 * V + 12.0 * W
     search = search_of(left)
@@ -405,15 +462,17 @@ def test_sizes_are_refined_to_both_sides(monkeypatch):
 def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_identified():
     known = {"name": "bulk_modulus", "starts": (1.0,), "upper": 20.0}
     assumed = Number(here=10.0, unit=5.0, sure="assumed", **known)
-    sure = Number(here=4.0, unit=2.0, sure="identified", std=0.5, **known)
+    sure = Number(here=0.4, unit=0.2, sure="identified", std=0.05, **known)
     fixed = Number(here=0.0, unit=0.0, sure="assumed", **known)
     row = Row("gain", low=-3.0, high=4.0, step=0.02, rank=3)
     both, one = Hypothesis(row, "a", (assumed, sure)), Hypothesis(row, "a", (sure, fixed))
-    assert both.bounds == (-2.0, 4.0) and both.rank == (0, 2)
+    assert both.bounds == one.bounds == (-2.0, 4.0) and both.rank == (0, 2)
+    none = Hypothesis(row, "a")
+    assert (none.bounds, none.certainty, none.starts) == ((-3.0, 4.0), 0, ({},))
     assert Hypothesis(row, "a", (sure,)).rank == (5, 3) and Hypothesis(row, "a").rank == (3, 3)
     assert Hypothesis(row, "a", (assumed,), edits=((("oil",), "", {}, {}),)).rank == (3, 3)
     assert (both.certainty, Hypothesis(row, "a", (sure, fixed)).certainty) == (0, 5)
-    assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.6 / (1.96 * 0.5), rel=1e-4)
+    assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.06 / (1.96 * 0.05), rel=1e-4)
     assert Hypothesis(row, "a", (assumed,)).beyond(1.0) == 0.0
     weighed, printed = replace(assumed, std=0.1), replace(sure, std=None)
     assert Hypothesis(row, "a", (weighed, printed)).beyond(1.0) == 0.0
@@ -421,7 +480,11 @@ def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_i
     assert Hypothesis(row, "a", (sure, several)).starts == tuple(
         {"bulk_modulus": 1.0, "supply.pressure": value} for value in (2.0, 3.0, 4.0)
     )
-    assert both.inside == 0.02
+    twice = Hypothesis(row, "a", (assumed, several))
+    added = Hypothesis(row, "a", (assumed,), edits=((("oil",), "", {}, {}),))
+    assert twice.parts([both, twice, one, added, none]) == [both, one]
+    assert both.inside == Hypothesis(replace(row, high=0.02), "a").inside == 0.02
+    assert Hypothesis(replace(row, step=-3.0), "a").inside == -3.0
     assert Hypothesis(replace(row, high=0.01), "a").inside == -0.02
     assert sure.at(-3.0) == 0.0 and assumed.begin(4.0) == 18.0  # 0.9 of where a search ends
 
@@ -448,7 +511,11 @@ def test_what_is_asked_of_a_case_is_what_moves():
     assert asked_of(x=moves, p_head=still, p_rod=still) == ("press.v",)
     assert asked_of(x=still, p_head=still) == ()
     assert asked_of(x=moves, load_pressure=moves) == ("press.v", "press.load_pressure")
-    for meta, seen in (({}, ("press.v", "p_supply")), ({SUPPLY: RECORDED}, ("press.v",))):
+    for meta, seen in (
+        ({}, ("press.v", "p_supply")),
+        ({SUPPLY: RECORDED}, ("press.v",)),
+        ({TIED: "motion"}, ("p_supply",)),
+    ):
         record = Record(t, {"press.v": moves, "p_supply": moves}, meta)
         assert Case("log", record, model, ("press",)).channels == seen
 

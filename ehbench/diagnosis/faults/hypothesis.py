@@ -70,7 +70,7 @@ class Number:
 
     def begin(self, delta: float) -> float:
         """Where a search begins [SI] that a slope says to end at δ."""
-        value = self.at(delta) if self.unit else max(self.here, *self.starts, 0.0)
+        value = self.at(delta) if self.unit else max(self.here, *self.starts)
         return value if self.upper is None else min(value, 0.9 * self.upper)
 
 
@@ -175,7 +175,7 @@ class Hypothesis:
         """A log whose commands do more at its end, which only drift makes."""
         if self.kind != "drift":
             return record
-        grows = 1.0 + delta * (record.t - record.t[0]) / max(float(np.ptp(record.t)), 1.0e-9)
+        grows = 1.0 + delta * (record.t - record.t[0]) / np.ptp(record.t)
         names = [name for name, _, _ in self.readings if name in record]
         given = {name: record[name] * grows for name in names}
         return replace(record, channels=record.channels | given)
