@@ -341,7 +341,7 @@ def _promising(
     return sorted(
         suspects,
         key=lambda s: (
-            (0, s.row.certainty, -s.explains) if s.explains >= likely else (1, 0, -s.explains)
+            (False, s.row.certainty, -s.explains) if s.explains >= likely else (True, -s.explains)
         ),
     )
 

@@ -22,11 +22,12 @@ from ehbench.identification import (
 )
 from ehbench.identification.band import Band
 from ehbench.identification.covariance import Block
-from ehbench.identification.descent import step
+from ehbench.identification.descent import carried, step
 from ehbench.identification.frequency_domain import followed, on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.problem import (
     Mesh,
+    Point,
     Problem,
     State,
     at_values,
@@ -276,6 +277,28 @@ def test_a_step_gains_what_it_should_of_a_quadratic_and_ends_at_its_least(rng):
             assert price(theta + off[:2], np.ravel(moved) + off[2:]) > least
     held, _, less = step(asked, state, blocks, 1e3)
     assert 0.0 < less < gain and np.abs(held - state.theta).max() < 2e-3
+
+
+def test_derivatives_that_are_carried_explain_the_step_by_the_size_of_their_effect():
+    """Of two parameters and a start; the second log knows one alone. Nothing turns without a
+    step."""
+    mesh: Any = None
+    columns = {(0, 0): [2.0, 0.0], (1, 0): [0.0, 1.0], (0, 1): [0.0, 4.0]}
+    columns = {key: np.array(column) for key, column in columns.items()}
+    before = Point(np.zeros(2), [np.zeros(1)] * 2, [np.array([1.0, 2.0])] * 2, mesh, columns)
+    before.start_columns[0, 0] = np.ones(2)
+    state = State(before.theta, before.shifts, {}, np.ones((2, 2)), (0, 1), point=before)
+    after = [np.array([1.5, 1.0]), np.array([1.0, 3.0])]
+    there = Point(np.array([0.1, -0.2]), [np.array([0.3]), np.zeros(1)], after, mesh)
+    found = carried(replace(state, point=there), state).here
+    left = np.array([0.5 - 0.3 - 0.2, -1.0 - 0.3 + 0.2])
+    total = 0.01 * 20.0 + 0.04 * 1.0
+    assert found.columns[0, 0] == pytest.approx([2.0, 0.0] + left * 0.1 * 20.0 / total)
+    assert found.columns[1, 0] == pytest.approx([0.0, 1.0] + left * -0.2 * 1.0 / total)
+    assert found.columns[0, 1] == pytest.approx([0.0, 4.0 + 0.6 * 0.1 * 20.0 / total])
+    assert (1, 1) not in found.columns and found.start_columns == before.start_columns
+    stays = carried(replace(state, point=replace(there, theta=before.theta)), state).here
+    assert all((stays.columns[key] == column).all() for key, column in columns.items())
 
 
 @pytest.mark.parametrize(
