@@ -847,13 +847,14 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
         fault("near", 0, "lag"): along(0.9),
         fault("nearest", 6): along(0.95),  # a third of its kind
         fault("aside", 0, "load"): along(0.5),
-        fault("other", 0, "leakage"): 5.0 * W,
+        fault("other", 0, "leakage"): 5.0 * W + V,
     }
+    rest = 100.0 - 30.0 * math.sqrt(0.98 * 0.02)  # of what the plainer leaves, along the other
     found, _ = searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
     assert [name for name, _, _ in found] == ["plainer", "first", "other", "near"]
-    sizes = [-3.0 * math.sqrt(0.98), -3.0, -4.0, -3.0 * math.sqrt(0.9)]
+    sizes = [-3.0 * math.sqrt(0.98), -3.0, -rest / 26.0, -3.0 * math.sqrt(0.9)]
     assert [size for _, size, _ in found] == pytest.approx(sizes)
-    assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, 400.0, 810.0])
+    assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, rest**2 / 26.0, 810.0])
     found, _ = searched(90.0 * U, {row: 10.0 * by for row, by in slopes.items()}, monkeypatch)
     assert [name for name, _, _ in found][:2] == ["first", "plainer"]
     rows = fault("weighed", 1, sure="weighed"), fault("assumed", 9, sure="assumed")
@@ -863,10 +864,28 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
 
 
 def test_quiet_residuals_are_asked_by_slopes_alone(monkeypatch):
-    """40 residuals whose squares sum to 49 hold no fault; to 54 models are run, in vain."""
+    """40 residuals whose squares sum to 49 hold no fault; to 54 models are run, in vain. 1000 that
+    sum to 72 are quiet, but one slope tells of all."""
     for size, runs in ((7.0, 1), (7.4, 2)):
         found, asked = searched(size * U, {WEAK: U}, monkeypatch)
         assert not found and (len(asked) == 1) == (runs == 1)
+    one = np.eye(1, 1000)[0]
+    found, _ = searched(8.5 * one, {WEAK: 2.0 * one}, monkeypatch)
+    assert found == [("weak", pytest.approx(-4.25), pytest.approx(72.25))]
+
+
+def test_the_six_that_leave_least_are_refined(monkeypatch):
+    """Eight that explain ever less, every other one with a size above zero."""
+    refined, shares = [], [1.0 - 0.05 * k for k in range(8)]
+    search, faults = diagnosis._Search, [replace(WEAK, about=str(k)) for k in range(8)]
+    slopes = {
+        fault: 10.0 * (-1.0) ** k * (math.sqrt(shares[k]) * U + math.sqrt(1.0 - shares[k]) * V)
+        for k, fault in enumerate(faults)
+    }
+    kept = lambda _, reached: refined.extend(reached) or {}
+    monkeypatch.setattr(search, "_refined", kept)
+    searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
+    assert refined == faults[:6]
 
 
 @pytest.mark.parametrize(
