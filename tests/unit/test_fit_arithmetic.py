@@ -285,11 +285,12 @@ def test_derivatives_that_are_carried_explain_the_step_by_the_size_of_their_effe
     mesh: Any = None
     columns = {(0, 0): [2.0, 0.0], (1, 0): [0.0, 1.0], (0, 1): [0.0, 4.0]}
     columns = {key: np.array(column) for key, column in columns.items()}
-    before = Point(np.zeros(2), [np.zeros(1)] * 2, [np.array([1.0, 2.0])] * 2, mesh, columns)
+    begin = np.array([1.0, 2.0])
+    before = Point(begin, [np.array([0.5]), np.zeros(1)], [begin] * 2, mesh, columns)
     before.start_columns[0, 0] = np.ones(2)
     state = State(before.theta, before.shifts, {}, np.ones((2, 2)), (0, 1), point=before)
     after = [np.array([1.5, 1.0]), np.array([1.0, 3.0])]
-    there = Point(np.array([0.1, -0.2]), [np.array([0.3]), np.zeros(1)], after, mesh)
+    there = Point(np.array([1.1, 1.8]), [np.array([0.8]), np.ones(1)], after, mesh)
     found = carried(replace(state, point=there), state).here
     left = np.array([0.5 - 0.3 - 0.2, -1.0 - 0.3 + 0.2])
     total = 0.01 * 20.0 + 0.04 * 1.0
