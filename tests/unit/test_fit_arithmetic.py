@@ -12,6 +12,7 @@ from ehbench.data.record import BlockAverages, Record
 from ehbench.frequency_response.response import Averaging
 from ehbench.identification import (
     basins,
+    descent,
     estimate,
     hydraulics,
     matching,
@@ -277,6 +278,32 @@ def test_a_step_gains_what_it_should_of_a_quadratic_and_ends_at_its_least(rng):
             assert price(theta + off[:2], np.ravel(moved) + off[2:]) > least
     held, _, less = step(asked, state, blocks, 1e3)
     assert 0.0 < less < gain and np.abs(held - state.theta).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("gained", "secant", "anew", "damping"),
+    [
+        (0.9, False, False, 0.2),
+        (0.7, False, True, 0.2),
+        (0.7, True, False, 0.2),
+        (1.2, False, False, 0.2),
+        (1.3, False, True, 0.2),
+        (0.2, False, True, 2.0),  # not a quarter of what it should gain
+    ],
+)
+def test_a_step_that_gains_what_it_should_leaves_the_starts_as_they_are(
+    gained, secant, anew, damping
+):
+    here, there, origin = (Stub(free=()) for _ in range(3))
+    asked: Any = Stub(simulator=Stub(effort=Effort()), report=lambda *_: None)
+    given = {"linearised": [], "start_jacobian": [], "step": (here, [], 1.0), "evaluate": there}
+    given |= {"carried": there, "cost": lambda _, state: 10.0 - gained * (state is there)}
+    with answers(descent, **given):
+        before: Any = descent._Descent(here, origin, 2.0, 4)  # pyright: ignore[reportArgumentType]
+        after = descent._stepped(asked, before, 1e-3, secant)
+    assert after is not None and after.state is there and after.steps == 5
+    assert after.origin is (there if anew else origin)
+    assert after.damping == pytest.approx(damping)
 
 
 def test_derivatives_that_are_carried_explain_the_step_by_the_size_of_their_effect():
