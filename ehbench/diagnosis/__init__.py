@@ -125,10 +125,10 @@ class _Search:
         promises = {fault: self._promise(fault, by, self.left)[0] for fault, by in slopes.items()}
         ranked = sorted(slopes, key=lambda fault: -promises[fault])
         quiet = self.now < QUIET * sum(left.size for left in self.left)
-        tried = {fault: slopes[fault] for fault in ranked[:TRIED] if promises[fault] > 0.0}
-        if quiet and not any(self._counts(promises[fault], self.now) for fault in tried):
+        if quiet and not self._counts(max(promises.values(), default=0.0), self.now):
             return []
-        reached = self._best(tried | {f: slopes[f] for f in ranked[TRIED:] if f.row.trials})
+        tried = [*ranked[:TRIED], *(fault for fault in ranked[TRIED:] if fault.row.trials)]
+        reached = self._best({fault: slopes[fault] for fault in tried})
         nearest = sorted(reached, key=lambda fault: reached[fault][1])[:REFINED]
         reached |= self._refined({fault: reached[fault] for fault in nearest})
         gains = {fault: self.now - cost for fault, (_, cost, _) in reached.items()}
@@ -136,14 +136,15 @@ class _Search:
         if not gains:
             return []
         best = max(gains.values())
-        shown = sorted(
-            (fault for fault, gain in gains.items() if gain >= NEAR * best),
-            key=lambda fault: (
-                (1, 0, 0, -gains[fault])
-                if self._counts(best - gains[fault], self.now - gains[fault])
-                else (0, *fault.rank, -gains[fault])
-            ),
-        )
+
+        def place(fault: Hypothesis) -> tuple[float, ...]:
+            """Those that explain as much as the best by their rank, then the others."""
+            gain = gains[fault]
+            if self._counts(best - gain, self.now - gain):
+                return True, -gain
+            return False, *fault.rank, -gain
+
+        shown = sorted((f for f, gain in gains.items() if gain >= NEAR * best), key=place)
         results = [self._finding(fault, reached[fault][0], gains[fault]) for fault in shown]
         additional = self._additional(shown, reached[shown[0]][2], slopes)
         kinds = [item.kind for item in results]
@@ -151,7 +152,7 @@ class _Search:
         return [*few[:2], *additional, *few[2:]]
 
     def _faults(self) -> list[Hypothesis]:
-        case = self.cases[0]
+        case, *_ = self.cases
         cylinders = dict.fromkeys(name for item in self.cases for name in item.cylinders)
         channels = dict.fromkeys(name for item in self.cases for name in item.channels)
         records = [item.record for item in self.cases]
@@ -241,20 +242,20 @@ class _Search:
 
         The first size is that of a slope: oil leaks to an end by less than in proportion."""
         now = dict(reached)
-        reach = {f: 0.5 * abs(best[0]) if f.row.step else 0.0 for f, best in now.items()}
+        reach = {fault: 0.5 * abs(best[0]) for fault, best in now.items() if fault.row.step}
         least = {fault: far * 0.5**HALVINGS for fault, far in reach.items()}
-        while any(far > least[fault] for fault, far in reach.items()):
+        while sought := [fault for fault, far in reach.items() if far > least[fault]]:
             before = dict(now)
             for side in (-1.0, 1.0):
                 points = [
-                    (fault, best[0] + side * reach[fault])
-                    for fault, best in before.items()
-                    if reach[fault] > least[fault] and now[fault] is best
+                    (fault, before[fault][0] + side * reach[fault])
+                    for fault in sought
+                    if now[fault] is before[fault]
                 ]
                 inside = [(c, delta) for c, delta in points if c.bounds[0] <= delta <= c.bounds[1]]
                 now = self._bettered(now, inside)
-            on = {fault for fault, best in before.items() if now[fault] is not best}
-            reach = {fault: far * (2.0 if fault in on else 0.5) for fault, far in reach.items()}
+            for fault in reach:
+                reach[fault] *= 0.5 if now[fault] is before[fault] else 2.0
         return now
 
     def _bettered(
@@ -287,7 +288,8 @@ class _Search:
         return [self._finding(best, delta, gain)] if counts else []
 
     def _finding(self, fault: Hypothesis, delta: float, gain: float) -> Finding:
-        rig = self.cases[0].model.rig
+        case, *_ = self.cases
+        rig = case.model.rig
         explains = float(gain / max(self.now - self.noise, gain))
         says, line = fault.sentence(rig, delta), fault.remedy(rig, delta)
         size, beyond = float(delta), fault.beyond(delta)

@@ -50,34 +50,30 @@ class Case:
     bias: Mapping[str, float] = field(default_factory=dict)
     refined: bool = True
 
-    def simulated(self, fault: Hypothesis | None = None, delta: float = 0.0) -> Record:
+    def simulated(self) -> Record:
         """What the model does on the record from the estimated initial state, as its sensors show
-        it; with a fault of size δ.
+        it.
         """
-        run = self.run_of(fault, delta)
-        return self.seen(run.model.replay(run.record, AUTO, start=run.start), fault, delta)
+        true = self._start.record
+        start, _ = self._start.begin(self.model, self._shifts)
+        return sensed(self.model.replay(true, AUTO, start=start), self.terms, self.bias)
 
-    def run_of(self, fault: Hypothesis | None = None, delta: float = 0.0) -> Replay:
-        """(the model, the record as sound sensors would have it, the start) of `simulated`.
+    def run_of(self, fault: Hypothesis, delta: float) -> Replay:
+        """(the model with a fault of size δ, the record as sound sensors would have it, the start).
 
         Raises:
             EhbenchError, ValueError: there is no such rig.
         """
-        model, record = self.model, self.record
-        terms, bias = self.terms, self.bias
-        if fault is not None:
-            rig = fault.rig(model.rig, delta)
-            model = model if rig is model.rig else model_of(rig, self.maps)
-            record = fault.record(record, delta)
-            terms, bias = fault.terms(terms, bias, delta)
-        true = corrected(record, terms, bias)
-        start = self._start if true is self._start.record else replace(self._start, record=true)
-        return Replay(model, true, start.begin(model, self._shifts)[0])
+        rig = fault.rig(self.model.rig, delta)
+        model = self.model if rig is self.model.rig else model_of(rig, self.maps)
+        record = fault.record(self.record, delta)
+        true = corrected(record, *fault.terms(self.terms, self.bias, delta))
+        begin = self._start if true is self._start.record else replace(self._start, record=true)
+        start, _ = begin.begin(model, self._shifts)
+        return Replay(model, true, start)
 
-    def seen(self, replayed: Record, fault: Hypothesis | None = None, delta: float = 0.0) -> Record:
-        """A simulation as the log's sensors show it."""
-        if fault is None:
-            return sensed(replayed, self.terms, self.bias)
+    def seen(self, replayed: Record, fault: Hypothesis, delta: float) -> Record:
+        """A simulation with a fault of size δ as the log's sensors show it."""
         return sensed(replayed, *fault.terms(self.terms, self.bias, delta))
 
     @cached_property
@@ -184,13 +180,12 @@ class Case:
             values = column(simulated, channel, self.record)
             assert values is not None
             parts.append((self.blocks(values) - recorded) / self.scales[channel])
-        return np.concatenate(parts) if parts else np.zeros(0)
+        return np.concatenate(parts)
 
     def independent(self, left: np.ndarray) -> float:
         """How many independent numbers what is left over is worth."""
-        sizes = np.cumsum([values.size for values in self.recorded.values()])[:-1]
-        parts = np.split(left, sizes)
-        return sum(part.size / correlation_time(part) for part in parts if part.size)
+        parts = np.split(left, len(self.recorded))
+        return sum(part.size / correlation_time(part) for part in parts)
 
 
 def _slight(channel: str, values: np.ndarray) -> float:
@@ -215,7 +210,6 @@ def counts(gain: float, of: float, noise: float, independent: float) -> bool:
         noise: what noise alone makes of it.
         independent: numbers that the residuals are worth.
     """
-    if gain <= max(MATTERS * (of - noise), 0.0):
+    if gain <= max(MATTERS * (of - noise), 2.0 * CERTAIN):
         return False
-    ratio = independent * math.log(of / max(of - gain, 1.0e-12 * of))
-    return min(0.5 * gain, ratio) > CERTAIN
+    return independent * math.log(of / max(of - gain, 1.0e-12 * of)) > CERTAIN

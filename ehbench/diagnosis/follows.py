@@ -36,8 +36,8 @@ def followed(case: Case, simulated: Record) -> Iterator[Follows]:
         values = column(simulated, channel, case.record)
         assert values is not None
         error = case.blocks(values) - case.recorded[channel]
-        for what, cause in _causes(case, channel.rsplit(".", 1)[0]).items():
-            if float(np.ptp(cause)) == 0.0 or float(np.ptp(error)) == 0.0:
+        for what, cause in _causes(case, channel.rpartition(".")[0]).items():
+            if 0.0 in (np.ptp(cause), np.ptp(error)):
                 continue
             result = float(np.corrcoef(error, cause)[0, 1])
             band = correlation_band(error, cause)
@@ -57,7 +57,7 @@ def _causes(case: Case, cylinder: str) -> dict[str, np.ndarray]:
         speed = column(record, f"{cylinder}.{word}", record)
         if speed is not None:
             slow = case.blocks(speed)
-            moving = np.abs(slow) > STILL * float(np.max(np.abs(slow), initial=0.0))
+            moving = np.abs(slow) > STILL * float(np.max(np.abs(slow)))
             results |= {"speed": slow, "direction": np.where(moving, np.sign(slow), 0.0)}
             break
     for what, words in (("position", ("x", "q")), ("pressure", ("p_head", "p_rod", *GAUGES))):

@@ -17,18 +17,19 @@ _KEYS = {
 
 def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]]:
     """(cylinder, sentence, remedy, error [m]) of each that disagrees, the worst log of each."""
-    worst: dict[str, tuple[float, str]] = {}
+    worst: dict[str, tuple[float, Case]] = {}
     for case in cases:
         for name, apart in off_pins(case.record, case.model).items():
-            if abs(apart) > abs(worst.get(name, (0.0, ""))[0]):
-                worst[name] = (apart, case.name)
-    for name, (off, log) in worst.items():
-        unit = cases[0].model.rig.unit_of("x")
+            if name not in worst or abs(apart) > abs(worst[name][0]):
+                worst[name] = (apart, case)
+    for name, (off, case) in worst.items():
+        rig = case.model.rig
+        unit = rig.unit_of("x")
         shown = f"{from_si(abs(off), unit, quantity('x')):.3g} {unit}"
-        by = cases[0].model.rig.cylinder_named(name).linkage_word
+        by = rig.cylinder_named(name).linkage_word
         yield (
             name,
-            f"{name}.x and {name}.q of {log} disagree with the {by} by {shown}",
+            f"{name}.x and {name}.q of {case.name} disagree with the {by} by {shown}",
             f"check the {by} of {name} ({', '.join(_KEYS[by])}) and the offset and sign "
             f"of {name}.x and {name}.q",
             off,

@@ -103,7 +103,7 @@ class OneColumn(Axis):
     """In place of the root of the drop where no drop was measured: the flow goes by the opening."""
 
     def __init__(self) -> None:
-        self.breaks, self.size, self.kink = np.array([0.0, 1.0]), 1, False
+        self.breaks, self.size, self.kink = np.zeros(2), 1, False
         self.volume, self.eigenvalues = 0.0, np.zeros(1)
         self.mass, self.curvature, self.bends = np.eye(1), np.zeros((1, 1)), np.zeros((1, 1))
         self.stiffness, self.centres = np.ones(1), np.ones(1)

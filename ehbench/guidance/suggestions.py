@@ -367,7 +367,7 @@ class _Trials:
         return [
             change
             for change in self.rows
-            if change.level > 0
+            if not change.alike
             and change.name not in used
             and not estimated & {(s.channel, w) for s in change.sensors for w in WORDS if s[w]}
             and (not change.kind.endswith("sign") or astray)

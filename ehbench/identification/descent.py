@@ -145,7 +145,7 @@ def carried(there: State, before: State) -> State:
         for i, move in moves.items():
             left = left - columns.get((i, k), 0.0) * move
         for i, move in moves.items():
-            if (i, k) in columns and total > 0.0:
+            if (i, k) in columns and total:
                 columns[i, k] = columns[i, k] + left * (move * sizes[i] / total)
     known = {"columns": columns, "start_columns": dict(here.start_columns)}
     return replace(there, point=replace(point, **known))

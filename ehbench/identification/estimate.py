@@ -201,11 +201,11 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
 
 def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[np.ndarray, float]:
     """(by how much the cost is higher with a parameter at some points than here, the others
-    following to first order; its largest effect, as `effects`).
+    following to first order; its largest effect, as `effects`, infinite where none is possible).
     """
     others = state.fixed(i)
     blocks = linearised(problem, others, others.free)
-    rises, effect = np.zeros(len(points)), 0.0
+    rises, sizes = np.zeros(len(points)), []
     residuals, here = scaled(problem, state), cost(problem, state)
     for n, value in enumerate(points):
         theta = state.moved(i, value).theta
@@ -220,8 +220,8 @@ def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[
         gain = step(problem, there, linear, 0.0)[2]
         rises[n] = cost(problem, there) - gain - here
         change = [(a - b)[..., None] for a, b in zip(after, residuals, strict=True)]
-        effect = max(effect, float(effects(problem, state, change)[0]))
-    return rises, effect
+        sizes += effects(problem, state, change).tolist()
+    return rises, max(sizes, default=math.inf)
 
 
 def _better(problem: Problem, state: State, i: int, rise: float, value: float) -> State | None:

@@ -100,10 +100,8 @@ def _leaders(covariance: np.ndarray) -> list[int]:
     """
     left, result = covariance.copy(), []
     variances = np.diag(covariance)
-    while len(result) < len(variances) - 1:
-        rest = [
-            i for i in range(len(variances)) if i not in result and left[i, i] > 1e-9 * variances[i]
-        ]
+    while True:
+        rest = [i for i, size in enumerate(variances) if left[i, i] > 1e-9 * size]  # not yet known
         best, gain = None, 1.0 / SETTINGS.better**2
         for i in rest:
             after = np.diag(left) - left[:, i] ** 2 / left[i, i]
@@ -114,10 +112,9 @@ def _leaders(covariance: np.ndarray) -> list[int]:
             if more > gain:
                 best, gain = i, more
         if best is None:
-            break
+            return sorted(result)
         left = left - np.outer(left[:, best], left[best]) / left[best, best]
         result.append(best)
-    return sorted(result)
 
 
 def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -174,8 +174,9 @@ def prepare_fit(
         log = prepare(model, record, name, requested.channels, terms, decimate, requested.cutoff)
         free = any(name.endswith(("deadband", "overlap")) for name in parameters)
         if not (free or rig.model) and (why := shut(model, log)):
-            closed.append(message("identification.all_shut", log=name, reason=why))
-            log = replace(log, warnings=(*log.warnings, closed[-1]))
+            warning = message("identification.all_shut", log=name, reason=why)
+            closed.append(warning)
+            log = replace(log, warnings=(*log.warnings, warning))
         logs.append(log if requested.response is None else on_response(log, *requested.response))
         half = 0.5 / log.sample_time
         if requested.cutoff is not None and requested.cutoff >= half:
@@ -267,7 +268,7 @@ def _refuse_inert(
             key, right = "identification.edge_is_mapped", "map_factor"
             if not measured:
                 needs = edge_law(edge.law).needs
-                key, right = "identification.edge_is_unmapped", (*needs, "flow_gain")[0]
+                key, right = "identification.edge_is_unmapped", next(iter(needs), "flow_gain")
             inert = word not in ("map_factor", "cracking_pressure")
             if inert if measured else word == "map_factor":
                 fields = {"edge": edge_name, "rig": rig.name, "word": word, "right": right}

@@ -175,7 +175,7 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
         row
         for row in (row.without(simulator.names, ()) if row.edits else row for row in rows)
         if row.row.step != 0.0
-        and (row.level > 0 or row.kind == "gain")
+        and (not row.alike or row.kind == "gain")
         and row.kind != "drift"
         and (row.numbers or row.readings)
         and not {*row.parameters} & {*simulator.names}
@@ -341,7 +341,7 @@ def _promising(
     return sorted(
         suspects,
         key=lambda s: (
-            (0, s.row.certainty, -s.explains) if s.explains >= likely else (1, 0, -s.explains)
+            (False, s.row.certainty, -s.explains) if s.explains >= likely else (True, -s.explains)
         ),
     )
 

@@ -96,7 +96,7 @@ def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
     inside = [k for k, i in enumerate(live) if not _at_bound(problem, state, i)]
     logs = [k for k in inside if live[k] < problem.requested and problem.search[live[k]].log]
     rest = [k for k in inside if k not in logs]
-    if len(logs) < 2:
+    if not logs:
         return ()
     inner = np.linalg.pinv(normal[np.ix_(rest, rest)])
     projected = normal[np.ix_(logs, logs)]

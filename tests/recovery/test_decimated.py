@@ -215,6 +215,13 @@ def test_commands_within_dead_bands_name_the_edge_that_is_nearest_to_open():
     assert getattr(shut(model, bare), "key", "") == "identification.opens_nothing"
 
 
+@pytest.mark.parametrize(("volts", "shuts"), [(0.0, True), (0.5, False)])
+def test_any_command_turns_a_pump(volts, shuts):
+    record = Record(np.arange(2.0), {"lift.drive.command": np.array([0.0, volts])})
+    log: Any = Stub(commanded=("lift",), record=record)
+    assert (shut(Model.of(shipped("pump_cylinder")), log) is not None) == shuts
+
+
 def test_uneven_clocks_and_gaps():
     """Times a fifth of a sample off are put right first; a log with a gap is two."""
     rng, record = np.random.default_rng(3), noisy(clean(), 5)

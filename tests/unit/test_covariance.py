@@ -87,6 +87,7 @@ def test_white_noise_gives_the_textbook_covariance():
     result = covariance_of([block], NONE)
     assert np.sqrt(np.diag(result.acf)) == pytest.approx(textbook, rel=0.05)
     assert np.sqrt(np.diag(result.hac)) == pytest.approx(textbook, rel=0.15)
+    assert np.diag(result.correlation) == pytest.approx(1.0)
     assert result.correlation[0, 1] == pytest.approx(
         -np.sum(columns[:, 0] * columns[:, 1]) / np.sqrt(np.prod(np.sum(columns**2, axis=0))),
         abs=0.1,

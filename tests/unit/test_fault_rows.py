@@ -5,6 +5,7 @@ from types import SimpleNamespace as Stub
 import numpy as np
 import pytest
 
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
 from tests.shared import shipped, slide
@@ -28,10 +29,9 @@ def test_valves_of_a_cylinder_share_what_lies_before_them():
     """Two cartridges with the same dynamics: each by itself, both together."""
     rows = rows_of("boom_four_valve", ("q", "p_head"), ("boom.sh", "boom.rt"))
     both = {about: row for (kind, about), row in rows.items() if kind == "saturation"}
-    assert {about: row.level for about, row in both.items()} == {
-        "the drive of boom.sh": 1, "the drive of boom.rt": 1, "the drive of boom.sh+rt": 2,
-        "boom.sh": 1, "boom.rt": 1, "boom.sh+rt": 2,
-    }  # fmt: skip
+    whole = "the drive of boom.sh", "the drive of boom.rt", "the drive of boom.sh+rt"
+    assert both.keys() == {*whole, "boom.sh", "boom.rt", "boom.sh+rt"}
+    assert not any(row.alike for row in both.values())
     assert both["the drive of boom.sh+rt"].parameters == (
         "boom.sh.drive_limit",
         "boom.rt.drive_limit",
@@ -41,6 +41,7 @@ def test_valves_of_a_cylinder_share_what_lies_before_them():
     assert late.readings == delay.readings == tuple((c, "delay", 1.0) for c in commands)
     assert drift.readings == tuple((c, "drift", 1.0) for c in commands)
     assert (late.cylinder, late.bounds, late.inside) == ("boom", (-0.05, 0.0), -0.001)
+    assert delay.remedy(shipped("boom_four_valve"), 0.01).key == "faults.add_lines"
     added, *lines = delay.edits
     assert delay.parameters == ("boom_delay.delay",) and added[:2] == (("dynamics",), "boom_delay")
     rig = shipped("boom_four_valve")
@@ -55,19 +56,46 @@ def test_valves_of_a_cylinder_share_what_lies_before_them():
 def test_a_spool_has_a_neutral_and_parts_that_count_together():
     rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",))
     assert rows["delay", "press.servo"].parameters == ("press_servo_delay.delay",)
+    numbers = {name for row in rows.values() for name in row.parameters}
+    assert "press_servo_lag.lag" not in numbers  # of a valve whose dynamics are known
+    (number,) = rows["saturation", "the drive of press.servo"].numbers
+    assert (number.here, number.unit, number.upper) == (10.0, 10.0, 12.0)
+    assert number.starts == (8.5, 6.0)
     assert rows["neutral", "press.servo"].readings == (("press.servo.command", "offset", 10.0),)
     assert rows["command sign", "press.servo"].bounds == (-2.0, 0.0)
     parts = [row for (kind, _), row in rows.items() if kind == "preload"]
-    assert [(row.level, len(row.numbers)) for row in parts] == [(0, 1), (0, 1), (1, 2)]
-    assert rows["overlap", "press.servo"].level == 1
+    assert [(row.alike, len(row.numbers)) for row in parts] == [(True, 1), (True, 1), (False, 2)]
+    assert not rows["overlap", "press.servo"].alike
     # the speed is of the stroke's sensor, whose offset it does not show
     assert ("sensor offset", "press.x") not in rows and ("sensor offset", "press.v") not in rows
     offset = rows["sensor offset", "press.p_head"]
     spread = float(np.std(np.sin(9.0 * T)))
     assert offset.readings == (("press.p_head", "offset", pytest.approx(spread)),)
-    assert rows["sensor scale", "press.x"].readings == (("press.x", "scale", 1.0),)
+    scale = rows["sensor scale", "press.x"]
+    assert (scale.readings, scale.cylinder) == ((("press.x", "scale", 1.0),), "press")
+    assert rows["command sign", "press.servo"].cylinder == "press"
     plain = rows_of("slide_servo", ("p_head",), ("press.servo",))
     assert not any(about in ("press.x", "press.v") for _, about in plain)
+
+
+@pytest.mark.parametrize(
+    ("kind", "bounds", "step", "trials"),
+    [  # in spreads of a channel, shares of a scale, seconds, largest commands; a sign is turned
+        ("sensor offset", (-3.0, 3.0), 0.02, ()),
+        ("sensor scale", (-0.7, 2.0), 0.02, ()),
+        ("sensor lag", (0.0, 0.1), 0.002, ()),
+        ("sensor sign", (-2.0, 0.0), 0.0, (-2.0,)),
+        ("neutral", (-0.2, 0.2), 0.005, ()),
+        ("command sign", (-2.0, 0.0), 0.0, (-2.0,)),
+        ("late command", (-0.05, 0.0), -0.001, (-0.01, -0.02, -0.04)),
+        ("drift", (-0.6, 1.0), 0.02, ()),
+    ],
+)
+def test_how_far_sensors_and_commands_may_be_off(kind, bounds, step, trials):
+    rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",))
+    row = next(row for (of, _), row in rows.items() if of == kind)
+    assert (row.bounds, abs(row.inside), row.row.trials) == (bounds, abs(step), trials)
+    assert row.inside * step >= 0.0
 
 
 @pytest.mark.parametrize(("share", "drive"), [(1.0, True), (0.0, False)])
@@ -80,12 +108,46 @@ def test_a_drive_is_asked_where_commands_of_several_sizes_show_it(share, drive):
 
 
 def test_of_an_fmu_is_asked_what_it_takes_and_its_sensors():
-    model = Stub(settable=["bulk_modulus", "carriage.mass"], numbers={})
+    model = Stub(settable=["bulk_modulus"], numbers={})
     rows = rows_of("slide_servo", ("x", "p_head"), ("press.servo",), model=model)
     numbers = {name for row in rows.values() for name in row.parameters}
-    assert numbers == {"bulk_modulus", "carriage.mass"}
+    assert numbers == {"bulk_modulus"}
     assert {"late command", "sensor lag", "neutral"} <= {kind for kind, _ in rows}
     assert not any(row.edits and not row.readings for row in rows.values())
+
+
+def test_a_payload_is_asked_of_that_a_log_carries():
+    rig, (owner, *_) = shipped("crane_proportional"), shipped("crane_proportional").cylinder
+    for load in ("none", *rig.payload):
+        log = Record(T, {f"{owner.name}.{owner.valve[0].name}.command": LEVELS}, {"payload": load})
+        rows = hypotheses(rig, [owner.name], [], [log])
+        about = {row.about.partition(".")[0] for row in rows if row.kind == "payload"}
+        assert about == {load} - {"none"}
+        assert hypotheses(rig, [], [], [log]) == []
+
+
+def test_of_a_spool_whose_flows_are_measured_the_other_edge_is_asked():
+    """A gain is of the valve, what no more opening adds is of the edge; an underlap stands for a
+    deadband."""
+    rig = shipped("slide_servo")
+    names = [rig.cylinder[0].valve[0].edge_name(edge) for edge in rig.cylinder[0].valve[0].edge]
+    log = Record(T, {"press.servo.command": LEVELS})
+    rows = hypotheses(rig, ["press"], [], [log], dict.fromkeys(names[1:], Stub()))
+    about = {row.kind: [] for row in rows}
+    for row in rows:
+        about[row.kind].append(row.about)
+    assert about["deadband"] == ["press.servo"] and "overlap" not in about
+    assert about["gain"][0] == "press.servo" and len(about["gain"]) == len(names)
+    assert {*about["saturation"]} == {f"press.{names[0]}", "the drive of press.servo"}
+    whole = rig.as_toml()
+    for edge in whole["cylinder"][0]["valve"][0]["edge"][:1]:
+        edge.pop("deadband", None)
+        edge["underlap"] = "0.2 V"
+    rows = hypotheses(Rig.model_validate(whole), ["press"], [], [log])
+    numbers = {kind: {n for row in rows if row.kind == kind for n in row.parameters}
+               for kind in ("deadband", "underlap")}  # fmt: skip
+    assert numbers["underlap"] == {f"press.{names[0]}.underlap"}
+    assert numbers["deadband"] == {f"press.{name}.deadband" for name in names[1:]}
 
 
 def test_a_spring_on_the_rod_that_nobody_wrote_down():

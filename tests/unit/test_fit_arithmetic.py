@@ -12,6 +12,7 @@ from ehbench.data.record import BlockAverages, Record
 from ehbench.frequency_response.response import Averaging
 from ehbench.identification import (
     basins,
+    descent,
     estimate,
     hydraulics,
     matching,
@@ -22,11 +23,12 @@ from ehbench.identification import (
 )
 from ehbench.identification.band import Band
 from ehbench.identification.covariance import Block
-from ehbench.identification.descent import step
+from ehbench.identification.descent import carried, step
 from ehbench.identification.frequency_domain import followed, on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.problem import (
     Mesh,
+    Point,
     Problem,
     State,
     at_values,
@@ -276,6 +278,55 @@ def test_a_step_gains_what_it_should_of_a_quadratic_and_ends_at_its_least(rng):
             assert price(theta + off[:2], np.ravel(moved) + off[2:]) > least
     held, _, less = step(asked, state, blocks, 1e3)
     assert 0.0 < less < gain and np.abs(held - state.theta).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("gained", "secant", "anew", "damping"),
+    [
+        (0.9, False, False, 0.2),
+        (0.7, False, True, 0.2),
+        (0.7, True, False, 0.2),
+        (1.2, False, False, 0.2),
+        (1.3, False, True, 0.2),
+        (0.2, False, True, 2.0),  # not a quarter of what it should gain
+    ],
+)
+def test_a_step_that_gains_what_it_should_leaves_the_starts_as_they_are(
+    gained, secant, anew, damping
+):
+    here, there, origin = (Stub(free=()) for _ in range(3))
+    asked: Any = Stub(simulator=Stub(effort=Effort()), report=lambda *_: None)
+    given = {"linearised": [], "start_jacobian": [], "step": (here, [], 1.0), "evaluate": there}
+    given |= {"carried": there, "cost": lambda _, state: 10.0 - gained * (state is there)}
+    with answers(descent, **given):
+        before: Any = descent._Descent(here, origin, 2.0, 4)  # pyright: ignore[reportArgumentType]
+        after = descent._stepped(asked, before, 1e-3, secant)
+    assert after is not None and after.state is there and after.steps == 5
+    assert after.origin is (there if anew else origin)
+    assert after.damping == pytest.approx(damping)
+
+
+def test_derivatives_that_are_carried_explain_the_step_by_the_size_of_their_effect():
+    """Of two parameters and a start; the second log knows one alone. Nothing turns without a
+    step."""
+    mesh: Any = None
+    columns = {(0, 0): [2.0, 0.0], (1, 0): [0.0, 1.0], (0, 1): [0.0, 4.0]}
+    columns = {key: np.array(column) for key, column in columns.items()}
+    begin = np.array([1.0, 2.0])
+    before = Point(begin, [np.array([0.5]), np.zeros(1)], [begin] * 2, mesh, columns)
+    before.start_columns[0, 0] = np.ones(2)
+    state = State(before.theta, before.shifts, {}, np.ones((2, 2)), (0, 1), point=before)
+    after = [np.array([1.5, 1.0]), np.array([1.0, 3.0])]
+    there = Point(np.array([1.1, 1.8]), [np.array([0.8]), np.ones(1)], after, mesh)
+    found = carried(replace(state, point=there), state).here
+    left = np.array([0.5 - 0.3 - 0.2, -1.0 - 0.3 + 0.2])
+    total = 0.01 * 20.0 + 0.04 * 1.0
+    assert found.columns[0, 0] == pytest.approx([2.0, 0.0] + left * 0.1 * 20.0 / total)
+    assert found.columns[1, 0] == pytest.approx([0.0, 1.0] + left * -0.2 * 1.0 / total)
+    assert found.columns[0, 1] == pytest.approx([0.0, 4.0 + 0.6 * 0.1 * 20.0 / total])
+    assert (1, 1) not in found.columns and found.start_columns == before.start_columns
+    stays = carried(replace(state, point=replace(there, theta=before.theta)), state).here
+    assert all((stays.columns[key] == column).all() for key, column in columns.items())
 
 
 @pytest.mark.parametrize(
@@ -684,8 +735,8 @@ def test_white_noise_alone_is_asked_of_no_fixed_number(extra, noise):
 def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells():
     """Drift, parts among several, readings that are estimated or seen as a spectrum."""
 
-    def row(name, kind="mass", level=1, step=0.02, numbers=True, readings=()):
-        item: Any = Row(name=name, kind=kind, level=level, row=Stub(step=step), edits=())
+    def row(name, kind="mass", alike=False, step=0.02, numbers=True, readings=()):
+        item: Any = Row(name=name, kind=kind, alike=alike, row=Stub(step=step), edits=())
         item.parameters, item.numbers, item.readings = (name,), (1,) if numbers else (), readings
         return item
 
@@ -694,8 +745,8 @@ def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells()
         row("a"),
         row("fitted"),
         row("no slope", step=0.0),
-        row("part", level=0),
-        row("gain of a part", "gain", level=0),
+        row("part", alike=True),
+        row("gain of a part", "gain", alike=True),
         row("drift", "drift"),
         row("nothing", numbers=False),
         row("known", numbers=False, readings=speed),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ehbench.identification import uncertainty
-from ehbench.identification.groups import groups_of, sentence
+from ehbench.identification.groups import _leaders, groups_of, sentence
 from ehbench.identification.search import Coordinate
 from ehbench.identification.uncertainty import together
 
@@ -111,6 +111,14 @@ def test_a_product_has_its_standard_error_widened(powers, widening):
         assert f"a within a factor {factor:.2g}" in told["each"]
     elif group.alone["a"] > 3.0:
         assert "a unknown" in told["each"]
+
+
+@pytest.mark.parametrize(("correlation", "leads"), [(0.96, 0), (0.98, 1), (-0.98, 1)])
+def test_what_leads_would_make_another_four_times_as_sure(correlation, leads):
+    """1/(1 - r²) is 12.8 and 25.3; the third hangs together with neither."""
+    pair = np.array([[4.0, 2.0 * correlation], [2.0 * correlation, 1.0]])
+    three = np.block([[pair, np.zeros((2, 1))], [np.zeros((1, 2)), np.eye(1)]])
+    assert len(_leaders(three)) == leads and not {2} & {*_leaders(three)}
 
 
 def test_one_parameter_is_no_product():

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace as Stub
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from ehbench import diagnosis
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis import Case, ask
+from ehbench.diagnosis import Case, ask, pins
 from ehbench.diagnosis.faults import COMMANDS, DRIFT, LATE, SENSORS, TABLE, hypotheses, hypothesis
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
@@ -23,11 +24,12 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.parts.fault import Amount
 from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
-from ehbench.plant.ties import RECORDED, SUPPLY
+from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 from ehbench.preprocessing.observations import commanded
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import correlation_time
 from ehbench.validation import validate_rig
+from ehbench.vocabulary.errors import EhbenchError
 from tests.shared import RIGS, shipped, slide
 from tools.studies.structure_study import Fault, asked, faults, log_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
@@ -231,7 +233,17 @@ def test_remedies_of_what_was_fitted_and_of_a_late_command():
     names = [name for name in rig.parameters() if name.endswith("flow_gain")]
     fitted = rig.with_values({n: replace(rig.parameters()[n], sure="identified") for n in names})
     for given, key in ((rig, "faults.free"), (fitted, "faults.fitted")):
-        assert {row.remedy(given, 0.1).key for row in rows_of(given, "gain")} == {key}
+        rows = rows_of(given, "gain")
+        assert {row.remedy(given, 0.1).key for row in rows} == {key}
+        assert [rows[0].sentence(given, by).key for by in (0.1, -0.1)] == [
+            "faults.gain_more",
+            "faults.gain_less",
+        ]
+    fields, gain = rows[0]._fields(rig, -0.1), float(rig.parameters()[rows[0].parameters[0]])
+    shares = {"percent": 10.0, "rest": 90.0, "ms": 100.0, "volts": 0.0}
+    assert {key: fields[key] for key in shares} == pytest.approx(shares)
+    shown = [rig.shown(rows[0].parameters[0], share * gain, 3) for share in (0.1, 0.9)]
+    assert [fields["by"], fields["value"]] == shown
     (delay,) = rows_of(rig, "delay")
     assert delay.remedy(rig, 0.01).key == "faults.free_sensor"
     (late,) = rows_of(rig, "late command")
@@ -304,6 +316,38 @@ def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
     assert ask([]).findings == ()
 
 
+def test_the_log_that_is_farthest_off_tells_of_pins(monkeypatch):
+    monkeypatch.setattr(pins, "off_pins", lambda record, model: record)
+    model = Stub(rig=shipped("crane_proportional"))
+    offs = ({"lift": 0.01}, {}, {"lift": -0.02}, {"lift": 0.015})
+    logs: Any = [Stub(name=f"log {k}", record=off, model=model) for k, off in enumerate(offs)]
+    ((name, sentence, _, off),) = pins.disagreements(logs)
+    assert (name, off) == ("lift", -0.02) and "of log 2 disagree with the pins by 20" in sentence
+
+
+def test_cylinders_take_turns_and_one_thing_is_told_once(monkeypatch):
+    """Four of each at most, after what stroke and angle say; what cannot be asked is left out."""
+    given = {"a": "uvwxyz", "b": "qu"}
+    names = {kind: diagnosis.Finding(kind, "it", "", "", 0.6, 1.0) for kind in "qtuvwxyz"}
+    search = lambda group: Stub(findings=lambda: [names[k] for k in given[group[0][0].cylinders]])
+    monkeypatch.setattr(diagnosis, "_Search", search)
+    monkeypatch.setattr(diagnosis, "followed", lambda case, simulated: [case.name])
+    off = lambda cases: [("a", "off", "look", 0.01)] if len(cases) == 3 else []
+    monkeypatch.setattr(diagnosis, "disagreements", off)
+
+    def case(name, owner, channels="p", error=None):
+        simulated = Mock(side_effect=error)
+        return Stub(name=name, cylinders=owner, channels=channels, simulated=simulated, left=str)
+
+    failed = case("failed", "b", error=EhbenchError("no"))
+    cases: Any = [case("1", "a"), failed, case("still", "b", ""), case("2", "b"), case("3", "a")]
+    found = ask(cases)
+    first, *others = found.findings
+    assert [item.kind for item in others] == ["u", "q", "v", "w", "x"]
+    assert first == diagnosis.Finding("pins", "a", "off", "look", 1.0, 0.01, 0.0)
+    assert found.follows == ("1", "2", "3")
+
+
 # --- the search for faults, in closed form
 
 U, V, W = np.eye(3, 40)
@@ -350,6 +394,53 @@ def test_a_gain_counts_beyond_chance(gain, of, noise, count, counts):
     assert search_of(U, noise, count)._counts(gain, of) == counts
 
 
+def test_faults_of_a_search_have_a_slope_or_sizes_to_try(monkeypatch):
+    """Of all cylinders and channels of its logs; the model has the payload as its load."""
+    search, given = search_of(U), []
+    rig, maps = Stub(), Stub()
+    some = {"record": "log", "maps": maps, "model": Stub(rig=rig)}
+    search.cases = [Stub(cylinders=c, channels=c * 2, **some) for c in ("ab", "bc")]
+    rows = {
+        name: Hypothesis(Row(name, step=step, trials=trials), name)
+        for name, step, trials in (
+            ("slope", 0.1, ()),
+            ("back", -0.1, ()),
+            ("payload", 0.1, ()),
+            ("trials", 0.0, (1.0,)),
+            ("neither", 0.0, ()),
+        )
+    }
+    asked = lambda *about: given.extend(about) or [*rows.values()]
+    monkeypatch.setattr(diagnosis, "hypotheses", asked)
+    assert [item.about for item in search._faults()] == ["slope", "back", "trials"]
+    assert given == [rig, [*"abc"], [*"abc"], ["log", "log"], maps]
+
+
+def test_a_fault_is_run_along_the_logs_of_its_cylinder(monkeypatch):
+    """What no rig has, what stops and what comes to nothing finite leaves nothing."""
+    search = search_of(U)
+    search.left = [U, V]
+
+    def case(owner):
+        def run_of(fault, delta):
+            if fault.kind == "no rig":
+                raise ValueError
+            return fault.kind
+
+        ends = lambda replayed, fault, delta: math.nan if replayed == "nan" else delta
+        return Stub(cylinders=(owner,), run_of=run_of, seen=ends, left=lambda delta: delta * W)
+
+    search.cases = [case("a"), case("b")]
+    stops = lambda runs, step: [None if run == "stops" else run for run in runs]
+    monkeypatch.setattr(diagnosis, "replay_many", stops)
+    points = [(Hypothesis(Row("one"), "x", cylinder="b"), 2.0), (Hypothesis(Row("all"), "x"), 3.0)]
+    points += [(Hypothesis(Row(kind), "x"), 1.0) for kind in ("no rig", "stops", "nan")]
+    (one, every, *others) = search._at(points)
+    np.testing.assert_array_equal(one, [U, 2.0 * W])
+    np.testing.assert_array_equal(every, [3.0 * W, 3.0 * W])
+    assert others == [None, None, None]
+
+
 def test_beside_the_best_fault_stands_what_explains_most_of_the_rest():
     left = 10.0 * U + 9.0 * V + 12.0 * W
     search = search_of(left)
@@ -388,15 +479,17 @@ def test_sizes_are_refined_to_both_sides(monkeypatch):
 def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_identified():
     known = {"name": "bulk_modulus", "starts": (1.0,), "upper": 20.0}
     assumed = Number(here=10.0, unit=5.0, sure="assumed", **known)
-    sure = Number(here=4.0, unit=2.0, sure="identified", std=0.5, **known)
+    sure = Number(here=0.4, unit=0.2, sure="identified", std=0.05, **known)
     fixed = Number(here=0.0, unit=0.0, sure="assumed", **known)
     row = Row("gain", low=-3.0, high=4.0, step=0.02, rank=3)
     both, one = Hypothesis(row, "a", (assumed, sure)), Hypothesis(row, "a", (sure, fixed))
-    assert both.bounds == (-2.0, 4.0) and both.rank == (0, 2)
+    assert both.bounds == one.bounds == (-2.0, 4.0) and both.rank == (0, 2)
+    none = Hypothesis(row, "a")
+    assert (none.bounds, none.certainty, none.starts) == ((-3.0, 4.0), 0, ({},))
     assert Hypothesis(row, "a", (sure,)).rank == (5, 3) and Hypothesis(row, "a").rank == (3, 3)
     assert Hypothesis(row, "a", (assumed,), edits=((("oil",), "", {}, {}),)).rank == (3, 3)
     assert (both.certainty, Hypothesis(row, "a", (sure, fixed)).certainty) == (0, 5)
-    assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.6 / (1.96 * 0.5), rel=1e-4)
+    assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.06 / (1.96 * 0.05), rel=1e-4)
     assert Hypothesis(row, "a", (assumed,)).beyond(1.0) == 0.0
     weighed, printed = replace(assumed, std=0.1), replace(sure, std=None)
     assert Hypothesis(row, "a", (weighed, printed)).beyond(1.0) == 0.0
@@ -404,7 +497,11 @@ def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_i
     assert Hypothesis(row, "a", (sure, several)).starts == tuple(
         {"bulk_modulus": 1.0, "supply.pressure": value} for value in (2.0, 3.0, 4.0)
     )
-    assert both.inside == 0.02
+    twice = Hypothesis(row, "a", (assumed, several))
+    added = Hypothesis(row, "a", (assumed,), edits=((("oil",), "", {}, {}),))
+    assert twice.parts([both, twice, one, added, none]) == [both, one]
+    assert both.inside == Hypothesis(replace(row, high=0.02), "a").inside == 0.02
+    assert Hypothesis(replace(row, step=-3.0), "a").inside == -3.0
     assert Hypothesis(replace(row, high=0.01), "a").inside == -0.02
     assert sure.at(-3.0) == 0.0 and assumed.begin(4.0) == 18.0  # 0.9 of where a search ends
 
@@ -431,7 +528,11 @@ def test_what_is_asked_of_a_case_is_what_moves():
     assert asked_of(x=moves, p_head=still, p_rod=still) == ("press.v",)
     assert asked_of(x=still, p_head=still) == ()
     assert asked_of(x=moves, load_pressure=moves) == ("press.v", "press.load_pressure")
-    for meta, seen in (({}, ("press.v", "p_supply")), ({SUPPLY: RECORDED}, ("press.v",))):
+    for meta, seen in (
+        ({}, ("press.v", "p_supply")),
+        ({SUPPLY: RECORDED}, ("press.v",)),
+        ({TIED: "motion"}, ("p_supply",)),
+    ):
         record = Record(t, {"press.v": moves, "p_supply": moves}, meta)
         assert Case("log", record, model, ("press",)).channels == seen
 
@@ -500,25 +601,28 @@ def test_residuals_follow_what_goes_along_with_them():
     channels["press.p_head"] = np.zeros(t.size)
     error = 0.3 * noise + np.where(t < 12.0, np.sign(v), 0.0)
     case: Any = Stub(name="log", channels=("press.p_head",), blocks=lambda y: y)
-    case.record, case.recorded = Record(t, channels), {"press.p_head": np.zeros(t.size)}
-    found = {item.what: item for item in followed(case, Record(t, {"press.p_head": error}))}
+    case.record = Record(t, channels)
+    case.recorded = {"press.p_head": np.cos(t)}  # of which no error is made
+    shown = Record(t, {"press.p_head": error + np.cos(t)})
+    found = {item.what: item for item in followed(case, shown)}
     best = max(found.values(), key=lambda item: abs(item.correlation))
     assert best.what == "direction" and best.channel == "press.p_head"
     assert best.correlation == pytest.approx(1.0 / math.sqrt(1.0 + 0.09 / 0.6), abs=0.01)
-    assert "speed" in found and not {"position", "time", "command of press.servo"} & set(found)
+    assert found.keys() == {"direction", "speed"}
+    assert not [*followed(case, Record(t, {"press.p_head": np.cos(t) + 1.0}))]
     assert 0.0 < best.band < 0.7
 
 
 def test_alike_faults_are_asked_of_each_part_of_each_valve_and_of_all_valves():
     """Of a spool's edges and of two cartridges; a driver without minus has no neutral."""
     spool = rows_of(shipped("slide_servo"), "gain")
-    assert [(row.level, len(row.numbers)) for row in spool] == [(0, 1)] * 4 + [(1, 4)]
+    assert [(row.alike, len(row.numbers)) for row in spool] == [(True, 1)] * 4 + [(False, 4)]
     assert spool[-1].about == "press.servo"
     rig = shipped("boom_four_valve")
     log = clean_log("boom_four_valve", rig, "steps", duration=1.0)
     rows = hypotheses(rig, ["boom"], ["boom.qd", "boom.p_head"], [log])
     gains = [row for row in rows if row.kind == "gain"]
-    assert [(row.level, len(row.numbers)) for row in gains] == [(1, 1)] * 2 + [(2, 2)]
+    assert [(row.alike, len(row.numbers)) for row in gains] == [(False, 1)] * 2 + [(False, 2)]
     kinds = {row.kind for row in rows}
     assert "neutral" not in kinds and {"drift", "sensor lag", "sensor scale"} <= kinds
     assert len(rows_of(shipped("slide_servo"), "neutral")) == 1
@@ -760,13 +864,14 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
         fault("near", 0, "lag"): along(0.9),
         fault("nearest", 6): along(0.95),  # a third of its kind
         fault("aside", 0, "load"): along(0.5),
-        fault("other", 0, "leakage"): 5.0 * W,
+        fault("other", 0, "leakage"): 5.0 * W + V,
     }
+    rest = 100.0 - 30.0 * math.sqrt(0.98 * 0.02)  # of what the plainer leaves, along the other
     found, _ = searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
     assert [name for name, _, _ in found] == ["plainer", "first", "other", "near"]
-    sizes = [-3.0 * math.sqrt(0.98), -3.0, -4.0, -3.0 * math.sqrt(0.9)]
+    sizes = [-3.0 * math.sqrt(0.98), -3.0, -rest / 26.0, -3.0 * math.sqrt(0.9)]
     assert [size for _, size, _ in found] == pytest.approx(sizes)
-    assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, 400.0, 810.0])
+    assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, rest**2 / 26.0, 810.0])
     found, _ = searched(90.0 * U, {row: 10.0 * by for row, by in slopes.items()}, monkeypatch)
     assert [name for name, _, _ in found][:2] == ["first", "plainer"]
     rows = fault("weighed", 1, sure="weighed"), fault("assumed", 9, sure="assumed")
@@ -776,10 +881,28 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
 
 
 def test_quiet_residuals_are_asked_by_slopes_alone(monkeypatch):
-    """40 residuals whose squares sum to 49 hold no fault; to 54 models are run, in vain."""
+    """40 residuals whose squares sum to 49 hold no fault; to 54 models are run, in vain. 1000 that
+    sum to 72 are quiet, but one slope tells of all."""
     for size, runs in ((7.0, 1), (7.4, 2)):
         found, asked = searched(size * U, {WEAK: U}, monkeypatch)
         assert not found and (len(asked) == 1) == (runs == 1)
+    one = np.eye(1, 1000)[0]
+    found, _ = searched(8.5 * one, {WEAK: 2.0 * one}, monkeypatch)
+    assert found == [("weak", pytest.approx(-4.25), pytest.approx(72.25))]
+
+
+def test_the_six_that_leave_least_are_refined(monkeypatch):
+    """Eight that explain ever less, every other one with a size above zero."""
+    refined, shares = [], [1.0 - 0.05 * k for k in range(8)]
+    search, faults = diagnosis._Search, [replace(WEAK, about=str(k)) for k in range(8)]
+    slopes = {
+        fault: 10.0 * (-1.0) ** k * (math.sqrt(shares[k]) * U + math.sqrt(1.0 - shares[k]) * V)
+        for k, fault in enumerate(faults)
+    }
+    kept = lambda _, reached: refined.extend(reached) or {}
+    monkeypatch.setattr(search, "_refined", kept)
+    searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
+    assert refined == faults[:6]
 
 
 @pytest.mark.parametrize(

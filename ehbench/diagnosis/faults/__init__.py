@@ -124,7 +124,7 @@ class _Rows:
 
     def of_parts(self) -> Iterator[Hypothesis]:
         """Of each part, of the edges of a valve together, of the valves of a cylinder together."""
-        together: dict[tuple[str, str, str], dict[str, list[Hypothesis]]] = {}
+        together: dict[tuple[Any, ...], dict[str, list[Hypothesis]]] = {}
         for prefix, place, part in self.rig.parts():
             base = DynamicsTable if isinstance(part, DynamicsTable) else type(part)
             if base not in TABLE or (scales := self._scales(prefix, place, part)) is None:
@@ -137,20 +137,20 @@ class _Rows:
                     yield item
                     continue
                 owner = scales.cylinder.name
-                per_valve = together.setdefault((fault.kind, owner, fault.keys[0]), {})
+                per_valve = together.setdefault((fault.kind, owner, fault.keys), {})
                 per_valve.setdefault(f"{owner}.{scales.valve.name}", []).append(item)
         for (kind, owner, _), by_valve in together.items():
             wholes = []
             for name, parts in by_valve.items():
                 about = parts[0].about if kind == "saturation" and len(parts) == 1 else name
                 if len(parts) > 1:
-                    yield from (replace(item, level=0) for item in parts)
-                wholes.append(joined(parts, about, 1))
+                    yield from (replace(item, alike=True) for item in parts)
+                wholes.append(joined(parts, about))
             yield from wholes
             if len(wholes) > 1 and len(wholes) == len(self.moved[owner]):
                 names = "+".join(name.partition(".")[2] for name in by_valve)
                 drive = "the drive of " if wholes[0].about.startswith("the drive") else ""
-                yield joined(wholes, f"{drive}{owner}.{names}", 2)
+                yield joined(wholes, f"{drive}{owner}.{names}")
 
     def of_commands(self) -> Iterator[Hypothesis]:
         """Of what lies between recorded commands and valves."""
@@ -183,7 +183,8 @@ class _Rows:
 
     def _reading(self, fault: Fault, channel: str, scales: Scales, about: str) -> Hypothesis:
         owner = channel.rpartition(".")[0].partition(".")[0]
-        reading = (channel, fault.keys[0], scales[fault.unit])
+        (word,) = fault.keys
+        reading = (channel, word, scales[fault.unit])
         return Hypothesis(fault, about, readings=(reading,), cylinder=owner)
 
     def _moves(self, owner: Cylinder, item: Valve) -> bool:
@@ -194,22 +195,19 @@ class _Rows:
 
     def _scales(self, prefix: str, place: tuple[Any, ...], part: Any) -> Scales | None:
         """What amounts of a part are measured by; None where no log shows the part."""
-        if place and place[0] == "cylinder":
+        if place[0] == "cylinder":
             owner = self.rig.cylinder[place[1]]
-            valve = owner.valve[place[3]] if place[2:3] == ("valve",) else None
+            valve = owner.valve[place[3]] if "valve" in place else None
             shown = owner in self.cylinders and (valve is None or valve in self.moved[owner.name])
             return Scales(self.rig, owner, valve, self.records, part=part) if shown else None
-        if isinstance(part, LinkLoad):
-            carried = any(payload_of(log) == place[1] for log in self.records)
-            if not carried or not self.cylinders:
-                return None
-            return Scales(self.rig, self.cylinders[0], None, self.records, part=part)
-        name = prefix.removesuffix(".")
-        if place[:1] == ("supply",) and all(supplied(log) for log in self.records):
+        if place[0] == "supply" and all(supplied(log) for log in self.records):
             return None
+        carried = {("payload", payload_of(log)) for log in self.records}
+        wide = place[0] in ("oil", "supply") or place[:2] in carried
+        name = prefix.removesuffix(".")
         for owner in self.cylinders:
             series = [item for valve in self.moved[owner.name] for item in valve.series]
-            if name in (owner.joint, *series) or place[:1] in (("oil",), ("supply",)):
+            if wide or name in (owner.joint, *series):
                 return Scales(self.rig, owner, None, self.records, part=part)
         return None
 
@@ -278,18 +276,18 @@ class _Rows:
             return fault.law == law
         if key == "cracking_pressure":
             return rules.metering and part.to == "tank"
-        if not isinstance(part, Edge) or not rules.has_deadband:
-            return False
-        return key != "deadband" or part.underlap is None
+        underlaps = f"{name}.underlap" in self.known
+        return rules.has_deadband and not (key == "deadband" and underlaps)
 
     def _times(self, owner: Cylinder, valves: Sequence[Valve]) -> Iterator[Hypothesis]:
         """A delay, and a lag where they have none, between the commands of valves with the same
         dynamics and their openings, or commands that were written late: they share it.
         """
-        series, about = valves[0].series, _about(owner, valves)
+        first, *others = valves
+        series, about = first.series, _about(owner, valves)
         commands = [f"{owner.name}.{item.name}.command" for item in valves]
-        scales = Scales(self.rig, owner, valves[0], self.records)
-        late = tuple((name, LATE.keys[0], 1.0) for name in commands)
+        scales = Scales(self.rig, owner, first, self.records)
+        late = tuple((name, "delay", 1.0) for name in commands)
         yield Hypothesis(LATE, about, readings=late, cylinder=owner.name)
         for fault in delay.FAULTS:
             (key,) = fault.keys
@@ -304,7 +302,7 @@ class _Rows:
                 )
                 yield Hypothesis(fault, about, numbers, readings, cylinder=owner.name)
                 continue
-            short = valves[0].name if len(valves) == 1 else ""
+            short = "" if others else first.name
             name = "_".join(filter(None, (owner.name, short, key)))
             content = {key: scales.written(item) for key, item in fault.adds.items()}
             edits: list[Any] = [(("dynamics",), name, content, {})]

@@ -70,7 +70,7 @@ class Number:
 
     def begin(self, delta: float) -> float:
         """Where a search begins [SI] that a slope says to end at δ."""
-        value = self.at(delta) if self.unit else max(self.here, *self.starts, 0.0)
+        value = self.at(delta) if self.unit else max(self.here, *self.starts)
         return value if self.upper is None else min(value, 0.9 * self.upper)
 
 
@@ -78,8 +78,8 @@ class Number:
 class Hypothesis:
     """A fault that a machine may have: a row of the table, what it is ``about``, the ``numbers``
     that it moves, the ``readings`` (channel, word of a sensor, SI per δ), the ``edits`` of the rig
-    file's tables, and the ``cylinder`` whose logs it changes, empty for all. ``level`` is 0 of a
-    part among several alike, 1 of a valve or another part, 2 of all valves of a cylinder."""
+    file's tables, and the ``cylinder`` whose logs it changes, empty for all. ``alike``
+    is of a part among several that may have it together."""
 
     row: Fault
     about: str
@@ -87,7 +87,7 @@ class Hypothesis:
     readings: tuple[tuple[str, str, float], ...] = ()
     edits: tuple[Edit, ...] = ()
     cylinder: str = ""
-    level: int = 1
+    alike: bool = False
 
     @property
     def kind(self) -> str:
@@ -175,7 +175,7 @@ class Hypothesis:
         """A log whose commands do more at its end, which only drift makes."""
         if self.kind != "drift":
             return record
-        grows = 1.0 + delta * (record.t - record.t[0]) / max(float(np.ptp(record.t)), 1.0e-9)
+        grows = 1.0 + delta * (record.t - record.t[0]) / np.ptp(record.t)
         names = [name for name, _, _ in self.readings if name in record]
         given = {name: record[name] * grows for name in names}
         return replace(record, channels=record.channels | given)
@@ -318,14 +318,13 @@ class Hypothesis:
         return tuple(results)
 
 
-def joined(several: Sequence[Hypothesis], about: str, level: int) -> Hypothesis:
+def joined(several: Sequence[Hypothesis], about: str) -> Hypothesis:
     """Faults of one kind together."""
     return replace(
         several[0],
         about=about,
         numbers=tuple(number for item in several for number in item.numbers),
         edits=tuple(edit for item in several for edit in item.edits),
-        level=level,
     )
 
 
