@@ -289,7 +289,7 @@ class _Planner:
         return replace(log, recorded=channels_of(log, clean))
 
 
-def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]:
+def drives_of(rig: Rig, logs: Sequence[Log]) -> list[Drive]:
     """What drove each cylinder: shares of the largest command by valve in fast motion."""
     results: dict[str, Drive] = {}
     for log, name in ((item, name) for item in logs for name in item.commanded):
@@ -300,7 +300,7 @@ def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]
             continue
         if cylinder.linkage and f"{name}.v" not in record and f"{name}.x" not in record:
             speed = cylinder.linkage.sign * speed
-        reach, sides = driven * float(np.max(np.abs(speed))), []
+        reach, sides = 0.3 * float(np.max(np.abs(speed))), []
         for sign in (1.0, -1.0):
             rows, side = sign * speed > reach, {}
             for valve in cylinder.valve:
