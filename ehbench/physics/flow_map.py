@@ -127,11 +127,8 @@ def map_command(pressure_drop, flow, data, at):
         else:
             high = middle
     k = row + low * _PIECE
-    more, slope, curve = (
-        required - _cubic(data, k, y),
-        _cubic(data, k + 4, y),
-        _cubic(data, k + 8, y),
-    )
+    more = required - _cubic(data, k, y)
+    slope, curve = _cubic(data, k + 4, y), _cubic(data, k + 8, y)
     root = slope + math.sqrt(max(slope * slope + 4.0 * curve * more, 0.0))
     opening = data[knots + low] + (2.0 * more / root if root > 0.0 else 0.0 * root)
     return max(opening + shift, 0.0)
@@ -307,16 +304,10 @@ class FlowMap:
 
         width = knots[-1] - knots[-2]
         last = pieces[:, -1]  # one more span beyond the last command: value and slope there
-        tangent = np.stack(
-            [
-                last[:, 0] + width * (last[:, 1] + width * last[:, 2]),
-                last[:, 1] + 2 * width * last[:, 2],
-            ],
-            1,
-        )
-        if self.rising < knots.size - 1:
-            tangent[:, 1] = 0.0
-        tangent = np.concatenate([tangent, np.zeros_like(tangent[:, :1])], 1)
+        tangent = np.zeros_like(last)
+        tangent[:, 0] = last[:, 0] + width * (last[:, 1] + width * last[:, 2])
+        if self.rising == knots.size - 1:
+            tangent[:, 1] = last[:, 1] + 2 * width * last[:, 2]
         pieces = np.concatenate([pieces, tangent[:, None]], 1)
 
         edge = pieces[-1].sum(-1)  # and one beyond the largest drop, growing by one common factor
@@ -395,13 +386,8 @@ class FlowMap:
             value = getattr(self, f.name)
             if f.name in _OPTIONAL and value == f.default:
                 continue
-            plain[f.name] = (
-                value.tolist()
-                if isinstance(value, np.ndarray)
-                else list(value)
-                if isinstance(value, tuple)
-                else value
-            )
+            value = list(value) if isinstance(value, tuple) else value
+            plain[f.name] = value.tolist() if isinstance(value, np.ndarray) else value
         return plain
 
     @classmethod
@@ -465,36 +451,34 @@ class ValveMaps:
 
     def flow(self, pressure_drop, command):
         """Flow [m³/s] at signed pressure drops [Pa] and openings [V]; broadcasts."""
-        return self._sided("flow", pressure_drop, command, 1.0)
+        return self._sided("flow", pressure_drop, command)
 
     def command(self, pressure_drop, flow):
         """Command [V] of the signed ``flow`` [m³/s] at the signed drop [Pa]."""
-        return self._sided("command", pressure_drop, flow, 0.0)
+        return self._sided("command", pressure_drop, flow)
 
     def reachable(self, pressure_drop, flow):
         """True where a measured command passes ``flow`` [m³/s] at the drop [Pa]."""
-        return self._sided("reachable", pressure_drop, flow, 0.0).astype(bool)
+        return self._sided("reachable", pressure_drop, flow).astype(bool)
 
     def flow_std(self, pressure_drop, command):
         """Standard error [m³/s] of ``flow``; broadcasts."""
-        return self._sided("flow_std", pressure_drop, command, 0.0)
+        return self._sided("flow_std", pressure_drop, command)
 
     def inside(self, pressure_drop, command):
         """True where readings surround the point, at signed drops [Pa] and openings [V]."""
         measured = (np.asarray(pressure_drop, float) >= 0.0) | (self.reverse is not None)
-        return self._sided("inside", pressure_drop, command, 0.0).astype(bool) & measured
+        return self._sided("inside", pressure_drop, command).astype(bool) & measured
 
-    def _sided(self, what: str, drop, other, odd: float):
+    def _sided(self, what: str, drop, other):
         """``what`` of the map on either side of zero drop; flows flip their sign with the drop."""
         drop, other = np.broadcast_arrays(np.asarray(drop, float), np.asarray(other, float))
         back = drop < 0.0
         result = np.asarray(getattr(self.forward, what)(np.abs(drop), other), float)
         if np.any(back):
             mirrored = -other if what in ("command", "reachable") else other
-            reverse = np.asarray(
-                getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored), float
-            )
-            result = np.where(back, -reverse if odd else reverse, result)
+            reverse = getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored)
+            result = np.where(back, -reverse if what == "flow" else reverse, result)
         return result if result.ndim else result[()]
 
 
