@@ -236,12 +236,8 @@ def read_flowmeter(
     rows = _signs(rows, left_out)
     losses = left_out.sentences([row["valve"] for row in rows])
     arrays: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ARRAYS}
-    about: dict[str, Any] = {
-        "warnings": tuple(warnings),
-        "losses": losses,
-        "details": left_out.details,
-    }
-    return FlowmeterData(**arrays, **about, units=units)
+    arrays |= {"warnings": tuple(warnings), "losses": losses, "details": left_out.details}
+    return FlowmeterData(**arrays, units=units)
 
 
 def is_flowmeter(path: Path) -> bool:

@@ -24,13 +24,7 @@ from ehbench.guidance.comparison import Comparison, comparison_of
 from ehbench.identification.basins import at_values, descend, foreseen, nearest_basin
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit, problem_over
 from ehbench.identification.problem import SETTINGS as PROBLEM
-from ehbench.identification.problem import (
-    Problem,
-    effects,
-    evaluate,
-    initial,
-    jacobian,
-)
+from ehbench.identification.problem import Problem, effects, evaluate, initial, jacobian
 from ehbench.identification.simulator import Log
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.terminal import Answer
