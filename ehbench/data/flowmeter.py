@@ -18,7 +18,7 @@ from ehbench.data.channels import dialect_of, overruled, si_of
 from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
-from ehbench.vocabulary.errors import InputError, LogError, UnitError
+from ehbench.vocabulary.errors import InputError, LogError, UnitError, placed
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -386,10 +386,8 @@ def _row(sheet: _Sheet, index: int) -> dict[str, Any]:
             raise InputError(message(key, name=name, cell=cell), **where)
         row[name] = number
         unit = sheet.units[name]
-        try:
+        with placed(where):
             plausible(number, quantity, f"{from_si(number, unit, quantity):.6g} {unit}")
-        except UnitError as error:
-            raise UnitError(error.message, hint=error.hint, **where) from None
     if _PRESSURES[0] in row:
         row["pressure_drop"] = row.pop(_PRESSURES[0]) - row.pop(_PRESSURES[1])
     row["direction"] = re.sub(r"\s*(->|→)\s*", "->", words.get("direction", "").lower())

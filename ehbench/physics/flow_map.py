@@ -248,13 +248,8 @@ class FlowMap:
                 if not np.all(np.isfinite(value)):
                     refuse(f"{f.name} holds a value that is not finite")
         knots, steps = self.opening_knots, self.increments
-        if (
-            knots.ndim != 1
-            or knots.size < 2
-            or np.any(np.diff(knots) <= 0)
-            or knots[0] != self.deadband
-            or knots[0] < 0
-        ):
+        ascends = knots.ndim == 1 and knots.size > 1 and bool(np.all(np.diff(knots) > 0))
+        if not ascends or knots[0] != self.deadband or knots[0] < 0:
             refuse("opening_knots must ascend from the deadband, which is 0 V or more")
         if steps.ndim != 2 or steps.shape[0] != knots.size or steps.shape[1] < 3:
             refuse("increments must have one row for each opening knot and three columns or more")
@@ -268,16 +263,10 @@ class FlowMap:
             refuse("hysteresis must not be negative")
         if not math.isfinite(self.shift):
             refuse("shift must be finite")
-        if not (
-            0 < self.delta < math.inf
-            and 0 < self.drop_max < math.inf
-            and 0 < self.rated_flow < math.inf
-        ):
+        if not all(0 < x < math.inf for x in (self.delta, self.drop_max, self.rated_flow)):
             refuse("delta, drop_max and rated_flow must be positive")
-        if (
-            not self.hull_command.shape == self.hull_low.shape == self.hull_high.shape
-            or not self.hull_command.size
-        ):
+        alike = self.hull_command.shape == self.hull_low.shape == self.hull_high.shape
+        if not alike or not self.hull_command.size:
             refuse("hull_command, hull_low and hull_high must have the same length")
         if self.std.shape != (self.std_command.size, self.std_root.size) or not self.std.size:
             refuse("std must have one row for each std_command and one column for each std_root")
@@ -400,10 +389,8 @@ class FlowMap:
         names = [f.name for f in fields(cls)]
         wrong = sorted((set(names) ^ set(plain)) - _OPTIONAL)
         if wrong:
-            raise InputError(
-                f"a flow map has the wrong fields: {', '.join(wrong)}",
-                hint="it has " + ", ".join(names),
-            )
+            text = f"a flow map has the wrong fields: {', '.join(wrong)}"
+            raise InputError(text, hint="it has " + ", ".join(names))
         try:
             numbers = {
                 name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")
@@ -532,28 +519,17 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
     for item in maps:
         sides = grouped.setdefault(item.valve, {})
         if item.direction not in ("forward", "reverse"):
-            raise InputError(
-                f"'{item.valve}' has a map in direction '{item.direction}'",
-                file=file,
-                hint="forward or reverse",
-            )
+            text = f"'{item.valve}' has a map in direction '{item.direction}'"
+            raise InputError(text, file=file, hint="forward or reverse")
         if item.direction in sides:
             raise InputError(f"'{item.valve}' has two {item.direction} maps", file=file)
         sides[item.direction] = item
     for name, sides in grouped.items():
         if "forward" not in sides:
-            raise InputError(
-                f"'{name}' has a reverse map only",
-                file=file,
-                hint="the direction in which a valve was measured alone is its forward one",
-            )
-    return FlowMaps(
-        {
-            name: ValveMaps(sides["forward"], sides.get("reverse"))
-            for name, sides in grouped.items()
-        },
-        file,
-    )
+            hint = "the direction in which a valve was measured alone is its forward one"
+            raise InputError(f"'{name}' has a reverse map only", file=file, hint=hint)
+    each = {name: ValveMaps(on["forward"], on.get("reverse")) for name, on in grouped.items()}
+    return FlowMaps(each, file)
 
 
 def dump_flow_maps(maps: FlowMaps) -> str:
@@ -592,29 +568,21 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     except RecursionError:
         raise InputError("is nested too deeply", file=path, hint=hint) from None
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint
-        ) from None
+        text = f"is no JSON: {error.msg}"
+        raise InputError(text, file=path, line=error.lineno, hint=hint) from None
     except ValueError:
         raise InputError("is no JSON text", file=path, hint=hint) from None
-    if (
-        not isinstance(content, dict)
-        or content.get("format") != FORMAT
-        or not isinstance(content.get("maps"), list)
-    ):
+    known = isinstance(content, dict) and content.get("format") == FORMAT
+    if not known or not isinstance(content.get("maps"), list):
         raise InputError("holds no flow maps", file=path, hint=hint)
     if content.get("version") != VERSION:
-        raise InputError(
-            f"has version {content.get('version')}, this program reads {VERSION}", file=path
-        )
+        text = f"has version {content.get('version')}, this program reads {VERSION}"
+        raise InputError(text, file=path)
     try:
         return collect([FlowMap.from_dict(item) for item in content["maps"]], str(path))
     except (InputError, AttributeError, TypeError) as error:
-        raise InputError(
-            getattr(error, "message", str(error)),
-            file=path,
-            hint=getattr(error, "hint", None) or hint,
-        ) from error
+        text, hint = getattr(error, "message", str(error)), getattr(error, "hint", None) or hint
+        raise InputError(text, file=path, hint=hint) from error
 
 
 def table(

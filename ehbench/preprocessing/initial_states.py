@@ -331,10 +331,8 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
 
 
 def _uncertain(name: str, state: int, std: float, span: float, valve: int = -1) -> Uncertain:
-    step = min(
-        max(SETTINGS.difference * std, SETTINGS.least_step * span), SETTINGS.largest_step * span
-    )
-    return Uncertain(name, state, std, step, valve)
+    step = max(SETTINGS.difference * std, SETTINGS.least_step * span)
+    return Uncertain(name, state, std, min(step, SETTINGS.largest_step * span), valve)
 
 
 def _of_cylinder(

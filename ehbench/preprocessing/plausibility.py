@@ -109,11 +109,9 @@ def begins_elsewhere(record: Record, model: Model, rest: int) -> Iterator[Messag
         seen, begins = float(np.mean(record[channel][: max(rest, 1)])), float(first[channel][0])
         noise, spread = white_noise(record[channel]), float(np.std(record[channel]))
         if abs(begins - seen) > max(SETTINGS.noises * noise, SETTINGS.worth * spread):
-            ends = {
-                "begins": model.rig.shown(channel, begins),
-                "seen": model.rig.shown(channel, seen),
-            }
-            yield message("preprocessing.begins_elsewhere", channel=channel, **ends)
+            ends = {"begins": begins, "seen": seen}
+            shown = {key: model.rig.shown(channel, value) for key, value in ends.items()}
+            yield message("preprocessing.begins_elsewhere", channel=channel, **shown)
 
 
 def _coarse(record: Record, model: Model) -> Iterator[Message]:
@@ -285,10 +283,8 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         if not seen:
             continue
         areas = dict(zip(ends, cylinder.areas(), strict=True))
-        force = (
-            start[names.state("p_head", index)] * areas["p_head"]
-            - start[names.state("p_rod", index)] * areas["p_rod"]
-        )
+        head, rod = (start[names.state(word, index)] * areas[word] for word in ends)
+        force = head - rod
         carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
         need = abs(force) / areas[carrying]
         peak = _peak(name, rig, cylinder, seen, supply, need)
@@ -451,9 +447,8 @@ def at_limit(y: np.ndarray) -> np.ndarray:
         usual = int(length[~here].max(initial=1))
         before = np.abs(end - y[np.maximum(starts - SETTINGS.limit_rise, 0)])
         cut = here & (starts > 0) & (stops < y.size) & (length >= SETTINGS.limit_run)
-        cut &= (length > SETTINGS.limit_share * usual) & (
-            before > SETTINGS.limit_steps * steps.min()
-        )
+        cut &= length > SETTINGS.limit_share * usual
+        cut &= before > SETTINGS.limit_steps * steps.min()
         if cut.any():
             result |= y == end
     return result
