@@ -342,9 +342,8 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
     t, slack = group.t, 0.01 * group.period
     for name, by in late.items():
         group.channels |= resampled({name: group.channels[name]}, t, t + by, slack)
-    keep = (t + max(0.0, *late.values()) <= np.nanmax(t) + slack) & (
-        t + min(0.0, *late.values()) >= np.nanmin(t) - slack
-    )
+    keep = t + max(0.0, *late.values()) <= np.nanmax(t) + slack
+    keep &= t + min(0.0, *late.values()) >= np.nanmin(t) - slack
     if not keep.any():
         shifts = ", ".join(f"{name} by {1e3 * by:g} ms" for name, by in late.items() if by)
         raise LogError(message("data.nothing_in_time", span=t[-1] - t[0], shifts=shifts))

@@ -325,9 +325,8 @@ def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict
                 item = valves[valve]
                 low, high = float(item.command_min), float(item.command_max)
                 reach = max(abs(low), abs(high))
-                shut = max(
-                    (float(e.deadband) for e in item.edge if e.sign * share > 0.0), default=0.0
-                )
+                bands = (float(e.deadband) for e in item.edge if e.sign * share > 0.0)
+                shut = max(bands, default=0.0)
                 volts = math.copysign(shut, share) + amplitude * share * max(reach - shut, 0.0)
                 volts = min(max(volts, low), high)
                 entry = {"valve": valve, "kind": "step", "amplitude": round(volts, 3)}

@@ -298,12 +298,9 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
             elements.append(place | rig.dynamics[element.dynamics].row())
         lowest, highest = item.given
         count = len(elements) - first
-        ends = {"lowest": lowest, "highest": highest}
-        late = {
-            "delay": sum(rig.dynamics[name].late() for name in item.series),
-            "before": item.rest,
-        }
-        rows.append(ends | late | {"first": first, "count": count, "output": output})
+        late = sum(rig.dynamics[name].late() for name in item.series)
+        ends = {"lowest": lowest, "highest": highest, "delay": late, "before": item.rest}
+        rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
 
 

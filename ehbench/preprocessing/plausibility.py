@@ -307,9 +307,8 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
             back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
         fixed = float(np.mean(seen[carrying][:rest])) - back
         # dry friction may hold a light load without oil, but not keep the pressures down in motion
-        if (fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart) or (
-            other in seen and fixed > need * SETTINGS.apart
-        ):
+        low = fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart
+        if low or (other in seen and fixed > need * SETTINGS.apart):
             fields = {"load": shown("p_head", need, 3), "fixed": shown("p_head", fixed, 3)}
             fields |= {"channel": f"{cylinder.name}.{carrying}", "rig": rig.name}
             raise InputError(message("preprocessing.load_pressure", log=name, **fields))

@@ -284,10 +284,8 @@ def models_of(
             rig.with_payload(payload_of(record))
     for channel in channels:
         if channel not in _KNOWN:
-            known = ", ".join(_KNOWN)
-            raise InputError(
-                message("validation.unknown_channel", rig=rig.name, channel=channel, known=known)
-            )
+            fields = {"rig": rig.name, "channel": channel, "known": ", ".join(_KNOWN)}
+            raise InputError(message("validation.unknown_channel", **fields))
     payloads = {payload_of(record) for _, record in logs}
     return {payload or "": model_of(rig, flow_maps, payload) for payload in payloads}
 

@@ -453,10 +453,8 @@ class Rig(FileModel):
         ):
             wrong = next((name for name in requested if name not in known), None)
             if wrong is not None:
-                raise InputError(
-                    message("config.no_such_part", name=self.name, what=what, wrong=wrong),
-                    hint="there are " + (", ".join(known) or "none"),
-                )
+                text = message("config.no_such_part", name=self.name, what=what, wrong=wrong)
+                raise InputError(text, hint="there are " + (", ".join(known) or "none"))
 
         def changed(cylinder: Cylinder, valve: Valve) -> Valve:
             name = by_valve.get(f"{cylinder.name}.{valve.name}")
