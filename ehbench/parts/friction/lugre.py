@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import Annotated, Literal
 
 from ehbench.parts.fault import Amount, Fault
-from ehbench.parts.friction.law import FrictionLaw
-from ehbench.parts.friction.stribeck import BREAKING, Stribeck
+from ehbench.parts.friction.law import FrictionLaw, FrictionTable
+from ehbench.parts.friction.stribeck import BREAKING
 from ehbench.parts.friction.stribeck import LAW as STRIBECK
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
@@ -22,11 +22,13 @@ from ehbench.vocabulary.fields import Q, Value
 LEAST = 1.0e-3  # share of the break-away friction below which the bristles never bear
 
 
-class LuGre(Stribeck):
+class LuGre(FrictionTable):
     """Bristles that bend by z: ``ż = v − σ0 |v|/g z``, ``F = σ0 z + σ1 ż + viscous v``, with g of
     Stribeck's form from the cylinder's ``friction_coulomb``."""
 
     law: Literal["lugre"]
+    friction_static: Annotated[Value, Q("friction_static")]
+    stribeck_speed: Annotated[Value, Q("stribeck_speed")]
     bristle_stiffness: Annotated[Value, Q("bristle_stiffness")]
     bristle_damping: Annotated[Value, Q("bristle_damping")] = Value(0.0)
 
@@ -34,7 +36,9 @@ class LuGre(Stribeck):
         """No Coulomb friction, or break-away friction below it."""
         if coulomb <= 0.0:
             return "law", "'lugre' needs a friction_coulomb above 0 of the cylinder"
-        return super().misfit(coulomb)
+        if float(self.friction_static) < coulomb:
+            return "friction_static", "must not lie below friction_coulomb"
+        return None
 
 
 @part_kernel
