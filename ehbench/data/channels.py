@@ -278,14 +278,11 @@ def _rate_note(group: Group) -> list[str]:
     """A note where the rows of a table that a rate counts last another time than their stamps do,
     by more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
     """
-    if (
-        group.stamped is None
-        or group.t.size < TIMESTAMP.fewest
-        or not np.isfinite(group.stamped).all()
-    ):
+    stamps = group.stamped if group.t.size >= TIMESTAMP.fewest else None
+    if stamps is None or not np.isfinite(stamps).all():
         return []
-    stamped, lasts = float(np.ptp(group.stamped)), float(np.ptp(group.t))
-    rounded = float(np.percentile(np.abs(np.diff(group.stamped)), 99))
+    stamped, lasts = float(np.ptp(stamps)), float(np.ptp(group.t))
+    rounded = float(np.percentile(np.abs(np.diff(stamps)), 99))
     if abs(stamped - lasts) <= 2.0 * rounded + SETTINGS.wrong_rate * lasts:
         return []
     return [message("data.wrong_rate", group=group.title, rows=lasts, stamps=stamped)]
@@ -345,9 +342,8 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
     t, slack = group.t, 0.01 * group.period
     for name, by in late.items():
         group.channels |= resampled({name: group.channels[name]}, t, t + by, slack)
-    keep = (t + max(0.0, *late.values()) <= np.nanmax(t) + slack) & (
-        t + min(0.0, *late.values()) >= np.nanmin(t) - slack
-    )
+    keep = t + max(0.0, *late.values()) <= np.nanmax(t) + slack
+    keep &= t + min(0.0, *late.values()) >= np.nanmin(t) - slack
     if not keep.any():
         shifts = ", ".join(f"{name} by {1e3 * by:g} ms" for name, by in late.items() if by)
         raise LogError(message("data.nothing_in_time", span=t[-1] - t[0], shifts=shifts))

@@ -18,7 +18,7 @@ from ehbench.data.channels import dialect_of, overruled, si_of
 from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
-from ehbench.vocabulary.errors import InputError, LogError, UnitError
+from ehbench.vocabulary.errors import InputError, LogError, UnitError, placed
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -236,12 +236,8 @@ def read_flowmeter(
     rows = _signs(rows, left_out)
     losses = left_out.sentences([row["valve"] for row in rows])
     arrays: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ARRAYS}
-    about: dict[str, Any] = {
-        "warnings": tuple(warnings),
-        "losses": losses,
-        "details": left_out.details,
-    }
-    return FlowmeterData(**arrays, **about, units=units)
+    arrays |= {"warnings": tuple(warnings), "losses": losses, "details": left_out.details}
+    return FlowmeterData(**arrays, units=units)
 
 
 def is_flowmeter(path: Path) -> bool:
@@ -390,10 +386,8 @@ def _row(sheet: _Sheet, index: int) -> dict[str, Any]:
             raise InputError(message(key, name=name, cell=cell), **where)
         row[name] = number
         unit = sheet.units[name]
-        try:
+        with placed(where):
             plausible(number, quantity, f"{from_si(number, unit, quantity):.6g} {unit}")
-        except UnitError as error:
-            raise UnitError(error.message, hint=error.hint, **where) from None
     if _PRESSURES[0] in row:
         row["pressure_drop"] = row.pop(_PRESSURES[0]) - row.pop(_PRESSURES[1])
     row["direction"] = re.sub(r"\s*(->|→)\s*", "->", words.get("direction", "").lower())

@@ -47,10 +47,8 @@ def recovered(log: str, notes: Iterable[str]) -> list[Message]:
     if not shares:
         return units
     longest = 1e3 * max(fields.get("longest", 0.0) for fields in few)
-    return [
-        *units,
-        message("data.interpolated", log=log, share=100.0 * max(shares), longest=longest),
-    ]
+    fields = {"share": 100.0 * max(shares), "longest": longest}
+    return [*units, message("data.interpolated", log=log, **fields)]
 
 
 def noted_losses(name: str, notes: Iterable[str]) -> tuple[list[str], list[str]]:

@@ -272,10 +272,8 @@ def estimate(signals: Signals) -> Response:
 
     freedom = 2.0 * signals.averages - 2.0
     known = np.where(coherence > 0.0, coherence, np.nan)
-    gain, spread = (
-        np.abs(transfer),
-        stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom),
-    )
+    gain = np.abs(transfer)
+    spread = stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
     phase = _unwrapped(np.angle(transfer), coherent)
     turn = np.where(spread < 1.0, np.arcsin(np.minimum(spread, 1.0)), np.nan)
     curves = {

@@ -91,13 +91,9 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     level = {item.form: float(np.mean(item.fit_percent)) for item in results}
     close = [item for item in results if level[item.form] >= max(level.values()) - SETTINGS.close]
     fewest = min(item.numbers for item in close)
-    best = max(
-        (item for item in close if item.numbers == fewest), key=lambda entry: level[entry.form]
-    )
-    rest = sorted(
-        (item for item in results if item is not best), key=lambda entry: -level[entry.form]
-    )
-    return (replace(best, preferred=True), *rest)
+    ranked = sorted(results, key=lambda item: -level[item.form])
+    best = next(item for item in ranked if item in close and item.numbers == fewest)
+    return (replace(best, preferred=True), *(item for item in ranked if item is not best))
 
 
 def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:

@@ -289,7 +289,7 @@ class _Planner:
         return replace(log, recorded=channels_of(log, clean))
 
 
-def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]:
+def drives_of(rig: Rig, logs: Sequence[Log]) -> list[Drive]:
     """What drove each cylinder: shares of the largest command by valve in fast motion."""
     results: dict[str, Drive] = {}
     for log, name in ((item, name) for item in logs for name in item.commanded):
@@ -300,7 +300,7 @@ def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]
             continue
         if cylinder.linkage and f"{name}.v" not in record and f"{name}.x" not in record:
             speed = cylinder.linkage.sign * speed
-        reach, sides = driven * float(np.max(np.abs(speed))), []
+        reach, sides = 0.3 * float(np.max(np.abs(speed))), []
         for sign in (1.0, -1.0):
             rows, side = sign * speed > reach, {}
             for valve in cylinder.valve:
@@ -325,9 +325,8 @@ def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict
                 item = valves[valve]
                 low, high = float(item.command_min), float(item.command_max)
                 reach = max(abs(low), abs(high))
-                shut = max(
-                    (float(e.deadband) for e in item.edge if e.sign * share > 0.0), default=0.0
-                )
+                bands = (float(e.deadband) for e in item.edge if e.sign * share > 0.0)
+                shut = max(bands, default=0.0)
                 volts = math.copysign(shut, share) + amplitude * share * max(reach - shut, 0.0)
                 volts = min(max(volts, low), high)
                 entry = {"valve": valve, "kind": "step", "amplitude": round(volts, 3)}

@@ -80,13 +80,13 @@ def _half(c: Coordinate, fitted: FittedParameter) -> float | None:
     return max(best - low, high - best)
 
 
-def profile_values(c: Coordinate, fitted: FittedParameter, steps: int = 6) -> np.ndarray:
+def profile_values(c: Coordinate, fitted: FittedParameter) -> np.ndarray:
     """Values to fix a parameter at, in search coordinates, inside its bounds, its best among them:
-    so many on either side, out to twice its interval, or to 1 where it has none.
+    six on either side, out to twice its interval, or to 1 where it has none.
     """
     best, half = c.of(fitted.value), _half(c, fitted)
     reach = 1.0 if half is None else 2.0 * half
-    every = best + reach * np.arange(-steps, steps + 1) / steps
+    every = best + reach * np.arange(-6, 7) / 6
     return np.unique(np.clip(every, *c.bounds))
 
 

@@ -24,13 +24,7 @@ from ehbench.guidance.comparison import Comparison, comparison_of
 from ehbench.identification.basins import at_values, descend, foreseen, nearest_basin
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit, problem_over
 from ehbench.identification.problem import SETTINGS as PROBLEM
-from ehbench.identification.problem import (
-    Problem,
-    effects,
-    evaluate,
-    initial,
-    jacobian,
-)
+from ehbench.identification.problem import Problem, effects, evaluate, initial, jacobian
 from ehbench.identification.simulator import Log
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.terminal import Answer
@@ -399,10 +393,8 @@ class _Trials:
                 other = self._fold(setup, less, folds[1 - less].numbers)
                 folds[less] = min(folds[less], other, key=attrgetter("cost"))
             tried = _tried(setup, folds)
-            same = all(
-                item.keys() == tried.left.get(at, {}).keys() for at, item in now.left.items()
-            )
-            return tried if same else None
+            pairs = ((item, tried.left.get(at, {})) for at, item in now.left.items())
+            return tried if all(item.keys() == other.keys() for item, other in pairs) else None
         except IMPOSSIBLE:
             return None
 
@@ -513,30 +505,19 @@ class _Trials:
         pairs = zip(state.free, sizes, strict=True)
         excited = {problem.search[i].name for i, size in pairs if size >= PROBLEM.faint}
         start = {name: result[name] for name in setup.parameters if name in excited}
-        known = {
-            (term.channel, term.word): Value(
-                max(
-                    term.value(result[term.name]),
-                    reading_row(term.channel, term.word).lower
-                    if term.word != "offset"
-                    else -math.inf,
-                ),
-                std=abs(term.per) * term.std,
-            )
-            for term in logs[0].start.terms
-            if term.name in result and term.std > 0.0 and term.value(result[term.name]) != 0.0
-        }
-        sensors = tuple(
-            sensor.model_copy(
-                update={
-                    w: known[sensor.channel, w]
-                    for w in WORDS
-                    if sensor[w] == ESTIMATE and (sensor.channel, w) in known
-                }
-            )
-            for sensor in setup.options.sensors
-        )
-        return replace(setup, options=replace(setup.options, start=start, sensors=sensors))
+        known = {}
+        for term in logs[0].start.terms:
+            value = term.value(result[term.name]) if term.name in result else 0.0
+            if term.std > 0.0 and value != 0.0:
+                row = reading_row(term.channel, term.word)
+                value = value if term.word == "offset" else max(value, row.lower)
+                known[term.channel, term.word] = Value(value, std=abs(term.per) * term.std)
+        sensors = []
+        for sensor in setup.options.sensors:
+            words = (w for w in WORDS if sensor[w] == ESTIMATE and (sensor.channel, w) in known)
+            given = {w: known[sensor.channel, w] for w in words}
+            sensors.append(sensor.model_copy(update=given))
+        return replace(setup, options=replace(setup.options, start=start, sensors=tuple(sensors)))
 
 
 def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:

@@ -13,7 +13,6 @@ from ehbench.parts.cylinder import (
     chamber_of,
     chamber_oil,
     linkage_of,
-    relief_out,
 )
 from ehbench.parts.edge import PUMP as PUMP_LAW
 from ehbench.parts.edge.pump import slip_loss
@@ -25,7 +24,7 @@ from ehbench.parts.mount import mount_loss, mount_stored, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure, node_stored
 from ehbench.parts.sway import sway_loss, sway_stored
 from ehbench.physics import arm
-from ehbench.physics.cylinder import makeup_flow
+from ehbench.physics.cylinder import makeup_flow, relief_flow
 from ehbench.runtime.compiled import kernel
 
 
@@ -223,7 +222,8 @@ def _cylinder(c, y, flows, plant, at, out):
         node, area, _, leakage = chamber_of(row, side)
         p, u = _node(node, y, plant)
         inflow = chamber_inflow(row, side, v, _net_flow(node, y, flows, plant), y, plant)
-        relief, makeup = relief_out(row, p), makeup_flow(inflow, p, row.cavitation_pressure)
+        relief = relief_flow(p, row.relief_pressure)
+        makeup = makeup_flow(inflow, p, row.cavitation_pressure)
         leak = leakage * (p - p_tank)
         to_tank = relief + leak - makeup
         out[at + OF.leakage] += leak * (p - p_tank)

@@ -13,6 +13,7 @@ from ehbench.parts.nodes import node_pressure
 from ehbench.parts.oil import OIL_COLUMNS
 from ehbench.physics.cylinder import (
     CAVITATION_BAND,
+    RELIEF_GAIN,
     joint_angle,
     joint_range,
     linkage,
@@ -20,7 +21,6 @@ from ehbench.physics.cylinder import (
 )
 from ehbench.runtime.compiled import part_kernel, record
 
-RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 # share of a chamber's dead volume that is left at the least: far outside of the stroke, where it
 # keeps the chamber's rate finite
 VOLUME_MARGIN = 0.02
@@ -113,12 +113,6 @@ def chamber_oil(row, side, x):
 
 
 @part_kernel
-def relief_out(row, pressure):
-    """Flow [m³/s] out of a chamber through its relief valve."""
-    return relief_flow(pressure, row.relief_pressure, RELIEF_GAIN)
-
-
-@part_kernel
 def chamber_inflow(row, side, v, net, y, plant):
     """What compresses the oil of a chamber [m³/s]: the right-hand sides of thesis 2.4 and 2.5.
 
@@ -134,7 +128,7 @@ def chamber_inflow(row, side, v, net, y, plant):
         node_pressure(y, plant, row.node_head) - node_pressure(y, plant, row.node_rod)
     )
     drained = leakage * (p - node_pressure(y, plant, 1))
-    inflow = net - relief_out(row, p) - area * v
+    inflow = net - relief_flow(p, row.relief_pressure) - area * v
     return (inflow - across if side == 0 else inflow + across) - drained
 
 

@@ -15,7 +15,7 @@ from pydantic import Field, field_validator
 
 from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
-from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.fields import FileModel, Q, Value, scalars
 
 
 class Sway(FileModel):
@@ -36,11 +36,7 @@ class Sway(FileModel):
 
     def row(self) -> dict[str, float]:
         """Its columns of a cylinder."""
-        return {
-            "sway_mass": float(self.mass),
-            "sway_stiffness": float(self.stiffness),
-            "sway_damping": float(self.damping),
-        }
+        return {f"sway_{name}": float(value) for name, value in scalars(self)}
 
 
 SWAY = ("sway", "sway_speed")  # its states, z [m] and w [m/s]

@@ -165,19 +165,11 @@ def _sum_inward(links, qd, out, work):
         b = i * _STRIDE
         out[i] = work[b + _BODY + 5] + links[i].damping * qd[i]
         if i > 0:
-            pa, pd, ca, sa = (
-                links[i - 1].a,
-                links[i - 1].d,
-                links[i - 1].cos_alpha,
-                links[i - 1].sin_alpha,
-            )
+            link, own = links[i - 1], work[b + _BODY : b + _BODY + 6]
+            pa, pd, ca, sa = link.a, link.d, link.cos_alpha, link.sin_alpha
             c, s, p = work[b + _COS], work[b + _SIN], b - _STRIDE + _BODY
-            fx, fy, fz = _inward(
-                c, s, ca, sa, work[b + _BODY], work[b + _BODY + 1], work[b + _BODY + 2]
-            )
-            nx, ny, nz = _inward(
-                c, s, ca, sa, work[b + _BODY + 3], work[b + _BODY + 4], work[b + _BODY + 5]
-            )
+            fx, fy, fz = _inward(c, s, ca, sa, own[0], own[1], own[2])
+            nx, ny, nz = _inward(c, s, ca, sa, own[3], own[4], own[5])
             work[p] += fx
             work[p + 1] += fy
             work[p + 2] += fz
@@ -378,20 +370,15 @@ def energy(kind, links, gravity, q, qd, work):
     wx, wy, wz, vx, vy, vz = 0.0, 0.0, qd[0], 0.0, 0.0, 0.0
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
     for i in range(n):
-        m, hx, hy, hz = links[i].mass, links[i].hx, links[i].hy, links[i].hz
-        spin = links[i].jxx * wx * wx + links[i].jyy * wy * wy + links[i].jzz * wz * wz
-        spin += 2.0 * (links[i].jxy * wx * wy + links[i].jxz * wx * wz + links[i].jyz * wy * wz)
+        link = links[i]
+        m, hx, hy, hz = link.mass, link.hx, link.hy, link.hz
+        spin = link.jxx * wx * wx + link.jyy * wy * wy + link.jzz * wz * wz
+        spin += 2.0 * (link.jxy * wx * wy + link.jxz * wx * wz + link.jyz * wy * wz)
         mixed = vx * (wy * hz - wz * hy) + vy * (wz * hx - wx * hz) + vz * (wx * hy - wy * hx)
         kinetic += 0.5 * (m * (vx * vx + vy * vy + vz * vz) + spin) + mixed
         potential += m * height + ux * hx + uy * hy + uz * hz
         if i + 1 < n:
-            b, pa, pd, ca, sa = (
-                (i + 1) * _STRIDE,
-                links[i].a,
-                links[i].d,
-                links[i].cos_alpha,
-                links[i].sin_alpha,
-            )
+            b, pa, pd, ca, sa = (i + 1) * _STRIDE, link.a, link.d, link.cos_alpha, link.sin_alpha
             c, s = work[b + _COS], work[b + _SIN]
             height += ux * pa + uz * pd
             vx, vy, vz = _outward(c, s, ca, sa, vx + wy * pd, vy + wz * pa - wx * pd, vz - wy * pa)

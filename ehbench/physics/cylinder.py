@@ -16,6 +16,7 @@ PINS, DIRECT, RACK = 0, 1, 2
 
 ATMOSPHERE = 101325.0  # [Pa], absolute
 CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
+RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)] of a relief valve: 30 L/min over 5 bar
 
 
 @kernel
@@ -120,13 +121,12 @@ def makeup_flow(inflow, pressure, floor):
 
 
 @kernel
-def relief_flow(pressure, relief_pressure, gain):
-    """Flow [m³/s] out of a relief valve: ``gain·max(0, p − p_relief)``.
+def relief_flow(pressure, relief_pressure):
+    """Flow [m³/s] out of a relief valve: ``RELIEF_GAIN·max(0, p − p_relief)``, with a rate of
+    RELIEF_GAIN·β_e/V [1/s] of the chamber.
 
     Args:
         pressure: upstream of the valve [Pa].
         relief_pressure: where it opens [Pa]; inf for none.
-        gain: [m³/(s·Pa)]; rated flow over the rise in which it opens, for instance 30 L/min over 5
-            bar is 1e-9. It adds a rate of gain·β_e/V [1/s] to the chamber.
     """
-    return gain * (pressure - relief_pressure) if pressure > relief_pressure else 0.0
+    return RELIEF_GAIN * (pressure - relief_pressure) if pressure > relief_pressure else 0.0

@@ -127,11 +127,8 @@ def map_command(pressure_drop, flow, data, at):
         else:
             high = middle
     k = row + low * _PIECE
-    more, slope, curve = (
-        required - _cubic(data, k, y),
-        _cubic(data, k + 4, y),
-        _cubic(data, k + 8, y),
-    )
+    more = required - _cubic(data, k, y)
+    slope, curve = _cubic(data, k + 4, y), _cubic(data, k + 8, y)
     root = slope + math.sqrt(max(slope * slope + 4.0 * curve * more, 0.0))
     opening = data[knots + low] + (2.0 * more / root if root > 0.0 else 0.0 * root)
     return max(opening + shift, 0.0)
@@ -251,13 +248,8 @@ class FlowMap:
                 if not np.all(np.isfinite(value)):
                     refuse(f"{f.name} holds a value that is not finite")
         knots, steps = self.opening_knots, self.increments
-        if (
-            knots.ndim != 1
-            or knots.size < 2
-            or np.any(np.diff(knots) <= 0)
-            or knots[0] != self.deadband
-            or knots[0] < 0
-        ):
+        ascends = knots.ndim == 1 and knots.size > 1 and bool(np.all(np.diff(knots) > 0))
+        if not ascends or knots[0] != self.deadband or knots[0] < 0:
             refuse("opening_knots must ascend from the deadband, which is 0 V or more")
         if steps.ndim != 2 or steps.shape[0] != knots.size or steps.shape[1] < 3:
             refuse("increments must have one row for each opening knot and three columns or more")
@@ -271,16 +263,10 @@ class FlowMap:
             refuse("hysteresis must not be negative")
         if not math.isfinite(self.shift):
             refuse("shift must be finite")
-        if not (
-            0 < self.delta < math.inf
-            and 0 < self.drop_max < math.inf
-            and 0 < self.rated_flow < math.inf
-        ):
+        if not all(0 < x < math.inf for x in (self.delta, self.drop_max, self.rated_flow)):
             refuse("delta, drop_max and rated_flow must be positive")
-        if (
-            not self.hull_command.shape == self.hull_low.shape == self.hull_high.shape
-            or not self.hull_command.size
-        ):
+        alike = self.hull_command.shape == self.hull_low.shape == self.hull_high.shape
+        if not alike or not self.hull_command.size:
             refuse("hull_command, hull_low and hull_high must have the same length")
         if self.std.shape != (self.std_command.size, self.std_root.size) or not self.std.size:
             refuse("std must have one row for each std_command and one column for each std_root")
@@ -307,16 +293,10 @@ class FlowMap:
 
         width = knots[-1] - knots[-2]
         last = pieces[:, -1]  # one more span beyond the last command: value and slope there
-        tangent = np.stack(
-            [
-                last[:, 0] + width * (last[:, 1] + width * last[:, 2]),
-                last[:, 1] + 2 * width * last[:, 2],
-            ],
-            1,
-        )
-        if self.rising < knots.size - 1:
-            tangent[:, 1] = 0.0
-        tangent = np.concatenate([tangent, np.zeros_like(tangent[:, :1])], 1)
+        tangent = np.zeros_like(last)
+        tangent[:, 0] = last[:, 0] + width * (last[:, 1] + width * last[:, 2])
+        if self.rising == knots.size - 1:
+            tangent[:, 1] = last[:, 1] + 2 * width * last[:, 2]
         pieces = np.concatenate([pieces, tangent[:, None]], 1)
 
         edge = pieces[-1].sum(-1)  # and one beyond the largest drop, growing by one common factor
@@ -395,13 +375,8 @@ class FlowMap:
             value = getattr(self, f.name)
             if f.name in _OPTIONAL and value == f.default:
                 continue
-            plain[f.name] = (
-                value.tolist()
-                if isinstance(value, np.ndarray)
-                else list(value)
-                if isinstance(value, tuple)
-                else value
-            )
+            value = list(value) if isinstance(value, tuple) else value
+            plain[f.name] = value.tolist() if isinstance(value, np.ndarray) else value
         return plain
 
     @classmethod
@@ -414,10 +389,8 @@ class FlowMap:
         names = [f.name for f in fields(cls)]
         wrong = sorted((set(names) ^ set(plain)) - _OPTIONAL)
         if wrong:
-            raise InputError(
-                f"a flow map has the wrong fields: {', '.join(wrong)}",
-                hint="it has " + ", ".join(names),
-            )
+            text = f"a flow map has the wrong fields: {', '.join(wrong)}"
+            raise InputError(text, hint="it has " + ", ".join(names))
         try:
             numbers = {
                 name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")
@@ -465,36 +438,34 @@ class ValveMaps:
 
     def flow(self, pressure_drop, command):
         """Flow [m³/s] at signed pressure drops [Pa] and openings [V]; broadcasts."""
-        return self._sided("flow", pressure_drop, command, 1.0)
+        return self._sided("flow", pressure_drop, command)
 
     def command(self, pressure_drop, flow):
         """Command [V] of the signed ``flow`` [m³/s] at the signed drop [Pa]."""
-        return self._sided("command", pressure_drop, flow, 0.0)
+        return self._sided("command", pressure_drop, flow)
 
     def reachable(self, pressure_drop, flow):
         """True where a measured command passes ``flow`` [m³/s] at the drop [Pa]."""
-        return self._sided("reachable", pressure_drop, flow, 0.0).astype(bool)
+        return self._sided("reachable", pressure_drop, flow).astype(bool)
 
     def flow_std(self, pressure_drop, command):
         """Standard error [m³/s] of ``flow``; broadcasts."""
-        return self._sided("flow_std", pressure_drop, command, 0.0)
+        return self._sided("flow_std", pressure_drop, command)
 
     def inside(self, pressure_drop, command):
         """True where readings surround the point, at signed drops [Pa] and openings [V]."""
         measured = (np.asarray(pressure_drop, float) >= 0.0) | (self.reverse is not None)
-        return self._sided("inside", pressure_drop, command, 0.0).astype(bool) & measured
+        return self._sided("inside", pressure_drop, command).astype(bool) & measured
 
-    def _sided(self, what: str, drop, other, odd: float):
+    def _sided(self, what: str, drop, other):
         """``what`` of the map on either side of zero drop; flows flip their sign with the drop."""
         drop, other = np.broadcast_arrays(np.asarray(drop, float), np.asarray(other, float))
         back = drop < 0.0
         result = np.asarray(getattr(self.forward, what)(np.abs(drop), other), float)
         if np.any(back):
             mirrored = -other if what in ("command", "reachable") else other
-            reverse = np.asarray(
-                getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored), float
-            )
-            result = np.where(back, -reverse if odd else reverse, result)
+            reverse = getattr(self.reverse or self.forward, what)(np.abs(drop), mirrored)
+            result = np.where(back, -reverse if what == "flow" else reverse, result)
         return result if result.ndim else result[()]
 
 
@@ -548,28 +519,17 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
     for item in maps:
         sides = grouped.setdefault(item.valve, {})
         if item.direction not in ("forward", "reverse"):
-            raise InputError(
-                f"'{item.valve}' has a map in direction '{item.direction}'",
-                file=file,
-                hint="forward or reverse",
-            )
+            text = f"'{item.valve}' has a map in direction '{item.direction}'"
+            raise InputError(text, file=file, hint="forward or reverse")
         if item.direction in sides:
             raise InputError(f"'{item.valve}' has two {item.direction} maps", file=file)
         sides[item.direction] = item
     for name, sides in grouped.items():
         if "forward" not in sides:
-            raise InputError(
-                f"'{name}' has a reverse map only",
-                file=file,
-                hint="the direction in which a valve was measured alone is its forward one",
-            )
-    return FlowMaps(
-        {
-            name: ValveMaps(sides["forward"], sides.get("reverse"))
-            for name, sides in grouped.items()
-        },
-        file,
-    )
+            hint = "the direction in which a valve was measured alone is its forward one"
+            raise InputError(f"'{name}' has a reverse map only", file=file, hint=hint)
+    each = {name: ValveMaps(on["forward"], on.get("reverse")) for name, on in grouped.items()}
+    return FlowMaps(each, file)
 
 
 def dump_flow_maps(maps: FlowMaps) -> str:
@@ -608,29 +568,21 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     except RecursionError:
         raise InputError("is nested too deeply", file=path, hint=hint) from None
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"is no JSON: {error.msg}", file=path, line=error.lineno, hint=hint
-        ) from None
+        text = f"is no JSON: {error.msg}"
+        raise InputError(text, file=path, line=error.lineno, hint=hint) from None
     except ValueError:
         raise InputError("is no JSON text", file=path, hint=hint) from None
-    if (
-        not isinstance(content, dict)
-        or content.get("format") != FORMAT
-        or not isinstance(content.get("maps"), list)
-    ):
+    known = isinstance(content, dict) and content.get("format") == FORMAT
+    if not known or not isinstance(content.get("maps"), list):
         raise InputError("holds no flow maps", file=path, hint=hint)
     if content.get("version") != VERSION:
-        raise InputError(
-            f"has version {content.get('version')}, this program reads {VERSION}", file=path
-        )
+        text = f"has version {content.get('version')}, this program reads {VERSION}"
+        raise InputError(text, file=path)
     try:
         return collect([FlowMap.from_dict(item) for item in content["maps"]], str(path))
     except (InputError, AttributeError, TypeError) as error:
-        raise InputError(
-            getattr(error, "message", str(error)),
-            file=path,
-            hint=getattr(error, "hint", None) or hint,
-        ) from error
+        text, hint = getattr(error, "message", str(error)), getattr(error, "hint", None) or hint
+        raise InputError(text, file=path, hint=hint) from error
 
 
 def table(

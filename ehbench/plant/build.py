@@ -169,20 +169,12 @@ def _mechanism(rig: Rig, shared: Kept) -> tuple[int, np.recarray, tuple[float, f
 
 
 def _link(joint: Joint) -> dict[str, Any]:
+    com: Any = joint.com.value
     moments: Any = joint.inertia.value
     xx, yy, zz, xy, xz, yz = moments
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    com: Any = joint.com.value
-    return arm.pack_link(
-        float(joint.dh_a),
-        float(joint.dh_d),
-        float(joint.dh_alpha),
-        float(joint.dh_theta),
-        float(joint.mass),
-        com,
-        inertia,
-        float(joint.joint_damping),
-    )
+    frame = float(joint.dh_a), float(joint.dh_d), float(joint.dh_alpha), float(joint.dh_theta)
+    return arm.pack_link(*frame, float(joint.mass), com, inertia, float(joint.joint_damping))
 
 
 def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.recarray:
@@ -306,12 +298,9 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
             elements.append(place | rig.dynamics[element.dynamics].row())
         lowest, highest = item.given
         count = len(elements) - first
-        ends = {"lowest": lowest, "highest": highest}
-        late = {
-            "delay": sum(rig.dynamics[name].late() for name in item.series),
-            "before": item.rest,
-        }
-        rows.append(ends | late | {"first": first, "count": count, "output": output})
+        late = sum(rig.dynamics[name].late() for name in item.series)
+        ends = {"lowest": lowest, "highest": highest, "delay": late, "before": item.rest}
+        rows.append(ends | {"first": first, "count": count, "output": output})
     return table_of(rows, VALVE), table_of(elements, ELEMENT)
 
 

@@ -22,7 +22,6 @@ from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.sway import sway_pull, sway_rate
-from ehbench.parts.tie import tie
 from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.physics.cylinder import chamber_rate
@@ -265,6 +264,20 @@ def _supply(y, plant, dy, work):
     dy[at.supply] = stiffness * (pump - demand)
     fixed = 0.0 < pump < supply.flow_limit
     return 0.0 if fixed else stiffness * work[at.slope + SUPPLY]
+
+
+@part_kernel
+def tie(command, plant, dy):
+    """Put what is tied to a recording into ``dy``: rates of joints [rad/s, rad/s²] and of the
+    supply's pressure [Pa/s]."""
+    for c in range(plant.cylinders.shape[0]):
+        row = plant.cylinders[c]
+        if row.tied_position >= 0:
+            dy[row.joint] = command[row.tied_position]
+        if row.tied_rate >= 0:
+            dy[plant.at.rates + row.joint] = command[row.tied_rate]
+    if plant.supply.tied >= 0:
+        dy[plant.at.supply] = command[plant.supply.tied]
 
 
 @any_derivatives.of(Plant)

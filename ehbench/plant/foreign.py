@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 
@@ -73,9 +72,10 @@ class Binding:
         return np.array([i.factor for i in items]), np.array([i.offset for i in items])
 
 
-@lru_cache(maxsize=8)
-def _bound(file: Path, stamp: int, tables: tuple[Any, ...]) -> Binding:
-    return Binding(file, {key: dict(pairs) for key, pairs in tables})
+# by the file, when it was written, and the tables as pairs
+_bound = lru_cache(maxsize=8)(
+    lambda file, stamp, tables: Binding(file, {key: dict(pairs) for key, pairs in tables})
+)
 
 
 @dataclass(frozen=True)

@@ -120,11 +120,8 @@ class Layout:
         results = []
         for element in self.elements:
             for at in range(element.state, element.state + len(valve.LAWS[element.law].states)):
-                name = self.state_names[at]
-                if (
-                    element.valve in self.several
-                    and name != f"{self.valves[element.valve]}.opening"
-                ):
+                name, outer = self.state_names[at], f"{self.valves[element.valve]}.opening"
+                if element.valve in self.several and name != outer:
                     results.append((name.replace(".rate", ".opening_rate"), at))
         return tuple(results)
 

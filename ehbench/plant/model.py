@@ -67,10 +67,8 @@ def finite(log: np.ndarray, tick: float) -> np.ndarray:
     """
     if not np.isfinite(log[-1]).all():
         bad = int(np.argmin(np.isfinite(log).all(axis=1)))
-        raise SimulationError(
-            f"the simulation left finite numbers at t = {bad * tick:.4g} s",
-            hint="take a smaller step",
-        )
+        text = f"the simulation left finite numbers at t = {bad * tick:.4g} s"
+        raise SimulationError(text, hint="take a smaller step")
     return log
 
 
@@ -158,10 +156,8 @@ class Model:
                 joint = names.joints.index(name)
                 index = next(iter(np.flatnonzero(plant.cylinders.joint == joint).tolist()), -1)
             else:
-                raise InputError(
-                    f"posture names '{name}', which is no cylinder or joint",
-                    hint="there are " + ", ".join(names.cylinders),
-                )
+                text = f"posture names '{name}', which is no cylinder or joint"
+                raise InputError(text, hint="there are " + ", ".join(names.cylinders))
             given = isinstance(value, str)
             q[joint] = self._coordinate(index, name, value) if given else float(value)
             if index < 0:
@@ -171,10 +167,8 @@ class Model:
                 word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
                 ends = (low, high, q[joint])
                 first, last, at = (self.rig.text(word, number, decimals) for number in ends)
-                raise InputError(
-                    f"posture {name} = {at} lies outside the stroke",
-                    hint=f"the stroke allows {first.partition(' ')[0]} to {last}",
-                )
+                hint = f"the stroke allows {first.partition(' ')[0]} to {last}"
+                raise InputError(f"posture {name} = {at} lies outside the stroke", hint=hint)
         return q
 
     def _coordinate(self, index: int, name: str, text: str) -> float:
@@ -185,10 +179,9 @@ class Model:
             row = self.plant.cylinders[index]
             stroke = float(read_value(text, VOCABULARY["x"]))
             if not 0 <= stroke <= row.stroke:
-                raise InputError(
-                    f"posture {name} = {text} lies outside the stroke",
-                    hint=f"0 to {self.rig.text('x', row.stroke, 1)}",
-                ) from None
+                last = self.rig.text("x", row.stroke, 1)
+                refusal = f"posture {name} = {text} lies outside the stroke"
+                raise InputError(refusal, hint=f"0 to {last}") from None
             return float(joint_of(row, stroke))
 
     def trim(
@@ -379,9 +372,8 @@ class Model:
             if angle is not None:
                 low, high = sorted(self.stroke_range(index))
                 slack = 0.01 * (high - low)
-                required[name] = (
-                    min(max(angle, low), high) if low - slack <= angle <= high + slack else angle
-                )
+                near = low - slack <= angle <= high + slack
+                required[name] = min(max(angle, low), high) if near else angle
             elif stroke is not None:
                 row = plant.cylinders[index]
                 required[name] = float(joint_of(row, min(max(stroke, 0.0), float(row.stroke))))
@@ -476,10 +468,8 @@ class Model:
             LogError: uneven time.
         """
         if not record.even:
-            raise LogError(
-                "the recording is not evenly sampled, so it cannot be replayed",
-                hint="resample it to one rate",
-            )
+            text = "the recording is not evenly sampled, so it cannot be replayed"
+            raise LogError(text, hint="resample it to one rate")
         table = self.commands_of(record)
         plant = self.plant.at_pressures(start.supply, start.tank).commanded_before(table[0])
         if not tied_words(record) and not supplied(record):
@@ -582,14 +572,12 @@ def simulate(
     columns = (*model.layout.valves, *model.layout.played)
     for name, values in commands.items():
         if name not in columns:
-            raise InputError(
-                f"rig '{rig.name}' has no valve '{name}'", hint="it has " + ", ".join(columns)
-            )
+            hint = "it has " + ", ".join(columns)
+            raise InputError(f"rig '{rig.name}' has no valve '{name}'", hint=hint)
         if np.ndim(values) and np.shape(values) != (samples,):
-            raise InputError(
-                f"the command of '{name}' has {np.shape(values)[0]} values, the trial {samples} "
-                "samples"
-            )
+            count = np.shape(values)[0]
+            text = f"the command of '{name}' has {count} values, the trial {samples} samples"
+            raise InputError(text)
         table[:, columns.index(name)] = values
     log = model.run(model.trim(model.posture(posture), None, table[0]), table, 1.0 / rate, step)
     return model.record(t, table, log, {"rig": rig.name, "payload": payload or "none"})

@@ -52,7 +52,8 @@ _MOVING = {
 
 def start_key(plant: Plant, moves: bool) -> tuple[object, ...]:
     """All of a plant that its start along a recording depends on, at rest or where it ``moves``."""
-    requested = _needed(moves, mounted(plant), bool(open_at_rest(plant).any()))
+    mounts = plant.cylinders["mount_state"].max(initial=-1) >= 0
+    requested = _needed(moves, mounts, bool(open_at_rest(plant).any()))
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
     for name, spans in requested:
         rows: Any = getattr(plant, name)
@@ -78,11 +79,6 @@ def _needed(
         ends = np.flatnonzero(np.diff(counted, prepend=0)).tolist()
         results.append((name, tuple(zip(ends[::2], ends[1::2], strict=True))))
     return tuple(results)
-
-
-def mounted(plant: Plant) -> bool:
-    """Whether the mount of a cylinder gives way."""
-    return plant.cylinders["mount_state"].max(initial=-1) >= 0
 
 
 def settle_parts(plant: Plant, y: np.ndarray) -> None:

@@ -210,12 +210,9 @@ class InitialState:
             valve_settle(valve, min(max(opening, valve.lowest), valve.highest), model.plant, y)
         return Start(y, supply, tank)
 
-    def moved(self, shifts: np.ndarray) -> dict[str, float]:
-        """By how much the shifts move each number of the start [SI]."""
-        return self._moved(shifts, bias=False)
-
-    def _moved(self, shifts: np.ndarray, bias: bool) -> dict[str, float]:
-        """The same of numbers that are a ``bias`` of a sensor, or of all others."""
+    def moved(self, shifts: np.ndarray, bias: bool = False) -> dict[str, float]:
+        """By how much the shifts move each number of the start [SI], or each ``bias`` of a
+        sensor."""
         pairs = zip(self.uncertain, shifts, strict=True)
         return {item.name: item.std * float(x) for item, x in pairs if item.bias == bias}
 
@@ -230,7 +227,7 @@ class InitialState:
 
     def bias(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> dict[str, float]:
         """The bias of the sensors, by term."""
-        return {**shared, **self._moved(shifts, bias=True)}
+        return {**shared, **self.moved(shifts, bias=True)}
 
     def true(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Record:
         """The recording as sound sensors would have given it, commands as the valves get them."""
@@ -334,10 +331,8 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
 
 
 def _uncertain(name: str, state: int, std: float, span: float, valve: int = -1) -> Uncertain:
-    step = min(
-        max(SETTINGS.difference * std, SETTINGS.least_step * span), SETTINGS.largest_step * span
-    )
-    return Uncertain(name, state, std, step, valve)
+    step = max(SETTINGS.difference * std, SETTINGS.least_step * span)
+    return Uncertain(name, state, std, min(step, SETTINGS.largest_step * span), valve)
 
 
 def _of_cylinder(

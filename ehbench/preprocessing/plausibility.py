@@ -109,11 +109,9 @@ def begins_elsewhere(record: Record, model: Model, rest: int) -> Iterator[Messag
         seen, begins = float(np.mean(record[channel][: max(rest, 1)])), float(first[channel][0])
         noise, spread = white_noise(record[channel]), float(np.std(record[channel]))
         if abs(begins - seen) > max(SETTINGS.noises * noise, SETTINGS.worth * spread):
-            ends = {
-                "begins": model.rig.shown(channel, begins),
-                "seen": model.rig.shown(channel, seen),
-            }
-            yield message("preprocessing.begins_elsewhere", channel=channel, **ends)
+            ends = {"begins": begins, "seen": seen}
+            shown = {key: model.rig.shown(channel, value) for key, value in ends.items()}
+            yield message("preprocessing.begins_elsewhere", channel=channel, **shown)
 
 
 def _coarse(record: Record, model: Model) -> Iterator[Message]:
@@ -285,10 +283,8 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         if not seen:
             continue
         areas = dict(zip(ends, cylinder.areas(), strict=True))
-        force = (
-            start[names.state("p_head", index)] * areas["p_head"]
-            - start[names.state("p_rod", index)] * areas["p_rod"]
-        )
+        head, rod = (start[names.state(word, index)] * areas[word] for word in ends)
+        force = head - rod
         carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
         need = abs(force) / areas[carrying]
         peak = _peak(name, rig, cylinder, seen, supply, need)
@@ -311,9 +307,8 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
             back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
         fixed = float(np.mean(seen[carrying][:rest])) - back
         # dry friction may hold a light load without oil, but not keep the pressures down in motion
-        if (fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart) or (
-            other in seen and fixed > need * SETTINGS.apart
-        ):
+        low = fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart
+        if low or (other in seen and fixed > need * SETTINGS.apart):
             fields = {"load": shown("p_head", need, 3), "fixed": shown("p_head", fixed, 3)}
             fields |= {"channel": f"{cylinder.name}.{carrying}", "rig": rig.name}
             raise InputError(message("preprocessing.load_pressure", log=name, **fields))
@@ -451,9 +446,8 @@ def at_limit(y: np.ndarray) -> np.ndarray:
         usual = int(length[~here].max(initial=1))
         before = np.abs(end - y[np.maximum(starts - SETTINGS.limit_rise, 0)])
         cut = here & (starts > 0) & (stops < y.size) & (length >= SETTINGS.limit_run)
-        cut &= (length > SETTINGS.limit_share * usual) & (
-            before > SETTINGS.limit_steps * steps.min()
-        )
+        cut &= length > SETTINGS.limit_share * usual
+        cut &= before > SETTINGS.limit_steps * steps.min()
         if cut.any():
             result |= y == end
     return result

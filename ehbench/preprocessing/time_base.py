@@ -150,14 +150,12 @@ def _retained(
     longest = max((stop - start for start, stop in inside), default=0)
     shortest = max(SETTINGS.shortest / record.sample_time, SETTINGS.share * longest)
     commands = [y for channel, y in record.channels.items() if channel.endswith(".command")]
-    return [
-        (start, stop)
-        for start, stop in inside
-        if stop - start >= shortest
-        and (
-            not driven or any(np.ptp(y[start:stop]) > SETTINGS.change * np.ptp(y) for y in commands)
-        )
-    ]
+
+    def moves(start: int, stop: int) -> bool:
+        return any(np.ptp(y[start:stop]) > SETTINGS.change * np.ptp(y) for y in commands)
+
+    long = [(start, stop) for start, stop in inside if stop - start >= shortest]
+    return [span for span in long if not driven or moves(*span)]
 
 
 def _gap_list(record: Record, gaps: np.ndarray, missing: np.ndarray) -> str:

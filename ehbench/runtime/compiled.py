@@ -10,8 +10,8 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property, update_wrapper
 from itertools import repeat
 from pathlib import Path
@@ -71,20 +71,6 @@ def is_cold() -> bool:
     return not (_SETTINGS.DISABLE_JIT or any(FOLDER.rglob("*.nbc")))
 
 
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """A block without garbage collection: the compiler creates millions of objects that stay, and
-    to look through them again and again takes a tenth of its time.
-    """
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
-
-
 # Without reference counting (_nrt) a kernel cannot allocate, and passing rows and slices of arrays
 # costs nothing: a trial takes a twelfth of the time. The caller owns all arrays.
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
@@ -124,7 +110,12 @@ class Kernel:
                 dispatcher: Any = numba.njit(cache=bool(folder), **options)(self._function)
             finally:
                 _SETTINGS.CACHE_DIR = before
-        _name_apart(dispatcher)
+        # numba (0.61 to 0.68) counts files from 1: of two processes that compile at once for
+        # different types, one could load the other's code
+        files: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+        name = getattr(files, "_data_name_pattern", "")
+        if "{number" in name:
+            files._data_name = lambda _: name.format(number=randbits(48))
         return dispatcher
 
     @cached_property
@@ -160,20 +151,16 @@ def _entry_point(dispatcher: Any, like: Sequence[Any]) -> Callable:
     signal interrupts the compiler.
     """
     types = tuple(numba.typeof(argument) for argument in like)
-    with unbroken(), _uncollected():
-        return dispatcher.compile(types)
-
-
-def _name_apart(dispatcher: Any) -> None:
-    """Give each file of a cache a unique name, where numba has this attribute (0.61 to 0.68).
-
-    numba counts from 1. Of two processes that compile at once for different types, one could load
-    the other's code.
-    """
-    files: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-    name = getattr(files, "_data_name_pattern", "")
-    if "{number" in name:
-        files._data_name = lambda _: name.format(number=randbits(48))
+    # the compiler creates millions of objects that stay: to look through them again and again
+    # takes a tenth of its time
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        with unbroken():
+            return dispatcher.compile(types)
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _compiler(options: Mapping[str, Any], kept: bool = True) -> Callable[[Callable], Any]:

@@ -90,11 +90,7 @@ def confined(
 
 
 def _outcome(child: int, reading: int, bounds: Bounds) -> bytearray:
-    """What a child writes until it ends.
-
-    Raises:
-        Ended: as `confined`.
-    """
+    """What a child writes until it ends; raises as `confined`."""
     result, end, waiting = bytearray(), time.monotonic() + bounds.wait, select.poll()
     waiting.register(reading, select.POLLIN)
     try:

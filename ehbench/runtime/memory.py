@@ -49,10 +49,8 @@ def refuse_beyond(needed: float, what: str) -> None:
         InputError: says how much it would take.
     """
     if needed > SHARE * available():
-        raise InputError(
-            f"{what} would take {needed / 1e9:.3g} GB of memory",
-            hint=f"up to {SHARE * available() / 1e9:.3g} GB are taken here",
-        )
+        hint = f"up to {SHARE * available() / 1e9:.3g} GB are taken here"
+        raise InputError(f"{what} would take {needed / 1e9:.3g} GB of memory", hint=hint)
 
 
 def rows_of(seconds: float, rate: float) -> int:
@@ -63,8 +61,6 @@ def rows_of(seconds: float, rate: float) -> int:
     """
     rows = seconds * rate
     if not rows <= MOST_ROWS:
-        raise InputError(
-            f"{seconds:.4g} s at {rate:g} Hz are {rows:.3g} samples",
-            hint=f"a trial has up to {MOST_ROWS:g}",
-        )
+        hint = f"a trial has up to {MOST_ROWS:g}"
+        raise InputError(f"{seconds:.4g} s at {rate:g} Hz are {rows:.3g} samples", hint=hint)
     return round(rows)

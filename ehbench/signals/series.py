@@ -280,9 +280,8 @@ def ringing(
     if len(t) < SETTINGS.samples:
         return Ringing(reason=message("signals.few_samples", count=len(t)))
     spread = np.std(y, axis=0)
-    weight = np.where(
-        spread > 1e-9 * np.max(np.abs(y), axis=0), 1.0 / np.maximum(spread, 1e-300), 0.0
-    )
+    moves = spread > 1e-9 * np.max(np.abs(y), axis=0)
+    weight = np.where(moves, 1.0 / np.maximum(spread, 1e-300), 0.0)
     if not np.any(weight):
         return Ringing(reason=message("signals.nothing_moves"))
     s, y = np.asarray(t - t[0], dtype=float), y - np.mean(y, axis=0)
@@ -297,20 +296,16 @@ def ringing(
     for drifts in ((0.0,), (0.0, 0.1), None):
         if trim and (guess is not None or drifts != (0.0,)):
             required = max(4.0 / max(zeta * omega, 1e-9), 2.5 * 2 * math.pi / omega)
-            used = min(
-                len(s), max(SETTINGS.samples, int(np.searchsorted(s, required, side="right")))
-            )
+            reached = int(np.searchsorted(s, required, side="right"))
+            used = min(len(s), max(SETTINGS.samples, reached))
         taus = (tau,) if drifts is None else tuple(share * s[used - 1] for share in drifts)
         starts = [(omega, zeta)]
         if abs(math.log(omega / begun[0])) > SETTINGS.astray:  # a drift that the window before left
             starts.append(begun)
         omega, zeta, tau = _refine(s[:used], y[:used] * weight, starts, taus)
         _, left = project(basis(s[:used], omega, zeta, tau), y[:used])
-        weight = np.where(
-            weight > 0.0,
-            1.0 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), np.maximum(floor, 1e-300)),
-            0.0,
-        )
+        size = np.maximum(np.sqrt(np.mean(left**2, axis=0)), np.maximum(floor, 1e-300))
+        weight = np.where(weight > 0.0, 1.0 / size, 0.0)
     return _judge(s[:used], y[:used], weight, omega, zeta, tau, float(t[0] + first))
 
 
@@ -356,9 +351,8 @@ def _as_table(y: np.ndarray) -> np.ndarray:
 
 def _block(s: np.ndarray, omega: float) -> int:
     """Samples to average before the fit: enough stay to see the oscillation, and the window."""
-    return max(
-        1, min(int(2 * math.pi / omega / (s[1] * SETTINGS.cycle)), len(s) // SETTINGS.samples)
-    )
+    enough = int(2 * math.pi / omega / (s[1] * SETTINGS.cycle))
+    return max(1, min(enough, len(s) // SETTINGS.samples))
 
 
 def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
@@ -408,9 +402,8 @@ def _refine(
             start.append(min(max(math.log(tau), low + 1e-6), high - 1e-6))
         limits = np.array(bounds).T
         result, left = oscillation.fit(s, y, tau, np.array(start), limits)
-        score = n * math.log(max(2.0 * left / n, 1e-300)) + (
-            (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
-        )
+        paid = (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
+        score = n * math.log(max(2.0 * left / n, 1e-300)) + paid
         if score < best[0]:
             time = math.exp(result[2]) if len(result) > 2 else tau
             best = score, math.exp(result[0]), float(result[1]), time

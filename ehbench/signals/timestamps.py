@@ -57,11 +57,8 @@ class Timestamps(NamedTuple):
     @property
     def even(self) -> bool:
         """Whether the stamps are those of an even rate, early or late by less than a row."""
-        rms = float(np.sqrt(np.mean(self.off**2)))
-        return (
-            rms <= SETTINGS.rms * self.period
-            and float(np.abs(self.off).max()) <= SETTINGS.largest * self.period
-        )
+        rms, largest = float(np.sqrt(np.mean(self.off**2))), float(np.abs(self.off).max())
+        return rms <= SETTINGS.rms * self.period and largest <= SETTINGS.largest * self.period
 
 
 class Resolution(NamedTuple):

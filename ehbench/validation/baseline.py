@@ -138,21 +138,16 @@ def fit(channel: str, records: Sequence[Record]) -> Arx | None:
             box = _least_squares(channel, commands, tick, order, usable)
             if box is None:
                 continue
-            error = sum(
-                float(np.sum((box.run(record) - _values(record, channel)) ** 2))
-                for record in usable
-            )
+            off = (box.run(record) - _values(record, channel) for record in usable)
+            error = sum(float(np.sum(item**2)) for item in off)
             if error < lowest:  # never where it is not finite
                 best, lowest = box, error
     return best
 
 
 def _usable(record: Record, channel: str, commands: Sequence[str]) -> bool:
-    return (
-        record.even
-        and all(name in record for name in commands)
-        and (column(record, channel, record) is not None)
-    )
+    known = all(name in record for name in commands)
+    return record.even and known and column(record, channel, record) is not None
 
 
 def _values(record: Record, channel: str) -> np.ndarray:

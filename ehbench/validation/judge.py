@@ -124,10 +124,7 @@ class JudgedLog:
     def counted(self) -> Record:
         """The part of the record that counts."""
         record = self.log.record
-        if self.scored is None:
-            return record
-        start, stop = self.scored
-        return record.at((record.t >= start) & (record.t <= stop))
+        return record if self.scored is None else record.between(*self.scored)
 
 
 @dataclass(frozen=True)
@@ -164,13 +161,12 @@ def prepare_validation(
     channels: Sequence[str] = CHANNELS,
     flow_maps: Maps | None = None,
     fitted_on: Collection[str] = (),
-    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
     sensors: Sequence[Sensor] = (),
 ) -> PreparedValidation:
     """Prepare the logs of a validation; arguments and errors as in `validate_rig`, and ``sensors``:
     what is known of sensors and drivers, or estimated of each log by itself.
     """
-    models = models_of(rig, logs, channels, flow_maps, where)
+    models = models_of(rig, logs, channels, flow_maps)
     names = numbered([name for name, _ in logs])
     judged = tuple(
         prepare_log(
@@ -213,13 +209,10 @@ def run_validation(
     reasons = tuple(_reasons(results))
     against = _speaking_against(results)
     warnings = tuple(of_log(log.name, text) for log in results for text in log.warnings)
-    plain = required.model_dump() | {
-        "max_error": {name: float(value) for name, value in required.max_error.items()},
-        "response_phase_error": required.response_phase_error
-        and float(required.response_phase_error),
-        "response_delay_error": required.response_delay_error
-        and float(required.response_delay_error),
-    }
+    plain = required.model_dump()
+    plain["max_error"] = {name: float(value) for name, value in required.max_error.items()}
+    for key in ("response_phase_error", "response_delay_error"):
+        plain[key] = getattr(required, key) and float(getattr(required, key))
     verdict = Validation(
         prepared.rig.name,
         not reasons,
@@ -277,12 +270,12 @@ def prepare_log(
 def models_of(
     rig: Rig,
     logs: Sequence[tuple[str, Record]],
-    channels: Sequence[str] = CHANNELS,
-    flow_maps: Maps | None = None,
+    channels: Sequence[str],
+    flow_maps: Maps | None,
     where: Callable[..., Mapping[str, Any]] = lambda *location: {},
 ) -> dict[str, Model]:
     """The model for each payload of the logs, by name, '' for none; arguments and errors as in
-    `validate_rig`.
+    `validate_rig`, their place by ``where``.
     """
     if not logs:
         raise InputError(message("validation.no_logs"))
@@ -291,10 +284,8 @@ def models_of(
             rig.with_payload(payload_of(record))
     for channel in channels:
         if channel not in _KNOWN:
-            known = ", ".join(_KNOWN)
-            raise InputError(
-                message("validation.unknown_channel", rig=rig.name, channel=channel, known=known)
-            )
+            fields = {"rig": rig.name, "channel": channel, "known": ", ".join(_KNOWN)}
+            raise InputError(message("validation.unknown_channel", **fields))
     payloads = {payload_of(record) for _, record in logs}
     return {payload or "": model_of(rig, flow_maps, payload) for payload in payloads}
 

@@ -77,23 +77,17 @@ def compare_channel(record: Record, model: Model, channel: str, pair: Pair) -> C
     if float(np.mean(np.diff(recorded) ** 2)) > 2.0 * SETTINGS.noise * variance:
         return replace(plain, note=message("validation.only_noise"))
     share = noise_of(record, channel) / math.sqrt(variance)
-    plain = replace(
-        plain,
-        fit_percent=series.fit_percent(recorded, pair.simulated),
-        noise_share=min(1.0, float(share)),
-    )
+    fit = series.fit_percent(recorded, pair.simulated)
+    plain = replace(plain, fit_percent=fit, noise_share=min(1.0, float(share)))
     block = max(1, round(SETTINGS.lag_step / record.sample_time))
     residual = block_averages(error, block)
     lags = min(round(SETTINGS.lag_span / (block * record.sample_time)), len(residual) // 4)
     if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
         return plain
     lag = block * record.sample_time * np.arange(lags + 1)
-    auto = _rounded_correlation(
-        channel,
-        lag[1:],
-        series.autocorrelation(residual, lags)[1:],
-        series.autocorrelation_band(residual, lags)[1:],
-    )
+    both = (series.autocorrelation, series.autocorrelation_band)
+    values, band = (of(residual, lags)[1:] for of in both)
+    auto = _rounded_correlation(channel, lag[1:], values, band)
     cross = []
     cylinder = channel.partition(".")[0]
     for valve in model.layout.valves:

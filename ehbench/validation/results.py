@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,13 +87,7 @@ class Ring:
         """The part of a ringing that is saved."""
         if not result.ok:
             return cls(cycles=result.cycles, reason=result.reason)
-        return cls(
-            natural_frequency=result.natural_frequency,
-            natural_frequency_std=result.natural_frequency_std,
-            damping_ratio=result.damping_ratio,
-            damping_ratio_std=result.damping_ratio_std,
-            cycles=result.cycles,
-        )
+        return cls(*(getattr(result, item.name) for item in fields(cls)))
 
 
 @dataclass(frozen=True)

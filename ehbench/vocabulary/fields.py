@@ -97,7 +97,8 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     lower, upper, std, unit }``.
 
     Raises:
-        UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
+        UnitError: no unit, wrong unit, implausible value, bounds that do not hold it, a negative
+            standard error.
         InputError: a key that does not belong there.
     """
     if isinstance(raw, Value):
@@ -138,11 +139,7 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
 
 def _unit(table: Mapping[str, Any], row: Quantity) -> str:
     """The unit in which people see a value: what ``unit`` says, else that of its own text, if it is
-    another than SI.
-
-    Raises:
-        UnitError: no unit of that quantity.
-    """
+    another than SI."""
     first = table["value"][0] if isinstance(table["value"], (list, tuple)) else table["value"]
     unit = str(table.get("unit", units.unit_of(first)))
     if unit:
@@ -151,11 +148,7 @@ def _unit(table: Mapping[str, Any], row: Quantity) -> str:
 
 
 def _scalar(item: Any, row: Quantity, what: str, check: bool = True) -> float:
-    """A number of a file in SI; ``check`` holds it against the row's plausible range.
-
-    Raises:
-        UnitError: no unit, wrong unit, implausible, not finite.
-    """
+    """A number of a file in SI; ``check`` holds it against the row's plausible range."""
     if isinstance(item, bool) or not isinstance(item, (str, int, float)):
         fields = {"what": what, "name": row.name, "display": row.display}
         raise UnitError(message("vocabulary.not_a_number", given=shortened(item, 60), **fields))
@@ -179,11 +172,7 @@ def _scalar(item: Any, row: Quantity, what: str, check: bool = True) -> float:
 
 
 def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
-    """The bounds and the standard error of a value, as far as they are given.
-
-    Raises:
-        UnitError: they are no numbers of the quantity, or the standard error is negative.
-    """
+    """The bounds and the standard error of a value, as far as they are given."""
     keys = [key for key in ("lower", "upper", "std") if key in table]
     results = {key: _scalar(table[key], row, f"the {key}", check=False) for key in keys}
     if "std" in table:

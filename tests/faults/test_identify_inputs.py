@@ -19,7 +19,7 @@ from ehbench.preprocessing.plausibility import outside_stroke, undriven
 from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.report.terminal import Answer
-from ehbench.validation import prepare_validation, validate_rig
+from ehbench.validation import models_of, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import of_log
@@ -477,7 +477,7 @@ def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
     for line, says, work in (
         (5, near, lambda: identify(rig(), log, recipe.parameters, **at)),
         (4, rf"{wrong} \(it has 200 kg\)", lambda: identify(rig(), heavy, CRANE, **at)),
-        (4, wrong, lambda: prepare_validation(rig(), heavy, **at)),
+        (4, wrong, lambda: models_of(rig(), heavy, (), None, **at)),
     ):
         assert refused(says, work).line == line
 

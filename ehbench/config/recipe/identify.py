@@ -4,14 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ehbench.config.recipe.base import (
-    ByParameter,
-    DataFiles,
-    Recipe,
-    ReplayedFiles,
-    Supplied,
-    Tied,
-)
+from ehbench.config.recipe.base import ByParameter, DataFiles, Recipe, ReplayedFiles, Supplied, Tied
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
 from ehbench.vocabulary.fields import FileModel, Q, Value

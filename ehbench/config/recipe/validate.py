@@ -5,12 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from ehbench.config.recipe.base import (
-    Recipe,
-    ReplayedFile,
-    Supplied,
-    Tied,
-)
+from ehbench.config.recipe.base import Recipe, ReplayedFile, Supplied, Tied
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
 from ehbench.config.recipe.toml import as_table

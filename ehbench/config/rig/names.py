@@ -52,8 +52,3 @@ def tables_of(model: BaseModel) -> dict[str, FileModel]:
     """The tables within a part of the rig."""
     fields = {name: getattr(model, name) for name in type(model).model_fields}
     return {name: part for name, part in fields.items() if isinstance(part, FileModel)}
-
-
-def prefix_of(table: str) -> str:
-    """What the parameters of a cylinder's table begin with, after the cylinder's name."""
-    return f"{table}." if table in ("mount", "sway") else ""

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from ehbench.config.rig.cylinder import Cylinder
 from ehbench.config.rig.fmu import ForeignModel
 from ehbench.config.rig.mechanism import Chain, Joint, LinkLoad, Slide
-from ehbench.config.rig.names import Misplaced, Name, plain_name, prefix_of, second, tables_of
+from ehbench.config.rig.names import Misplaced, Name, plain_name, second, tables_of
 from ehbench.config.rig.supply import LoadSensing, LowRail, Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
 from ehbench.parts.valve import TABLES as DYNAMICS
@@ -349,7 +349,8 @@ class Rig(FileModel):
         for i, cylinder in enumerate(self.cylinder):
             yield f"{cylinder.name}.", ("cylinder", i), cylinder
             for key, part in tables_of(cylinder).items():
-                yield f"{cylinder.name}.{prefix_of(key)}", ("cylinder", i, key), part
+                own = f"{key}." if key in ("mount", "sway") else ""
+                yield f"{cylinder.name}.{own}", ("cylinder", i, key), part
             for key in ("force", "line"):
                 for j, part in enumerate(getattr(cylinder, key)):
                     yield f"{cylinder.name}.{part.name}.", ("cylinder", i, key, j), part
@@ -454,10 +455,8 @@ class Rig(FileModel):
         ):
             wrong = next((name for name in requested if name not in known), None)
             if wrong is not None:
-                raise InputError(
-                    message("config.no_such_part", name=self.name, what=what, wrong=wrong),
-                    hint="there are " + (", ".join(known) or "none"),
-                )
+                text = message("config.no_such_part", name=self.name, what=what, wrong=wrong)
+                raise InputError(text, hint="there are " + (", ".join(known) or "none"))
 
         def changed(cylinder: Cylinder, valve: Valve) -> Valve:
             name = by_valve.get(f"{cylinder.name}.{valve.name}")

@@ -116,9 +116,8 @@ class Edge(LawFields, MeteringEdge):
         if float(self.underlap or 0.0) > 0.0 and float(self.deadband) > 0.0:
             raise Misplaced(message("config.deadband_or_underlap"), "underlap")
         if not law.metering and float(self.cracking_pressure) > 0.0:
-            raise Misplaced(
-                message("config.no_cracking_pressure", law=self.law), "cracking_pressure"
-            )
+            text = message("config.no_cracking_pressure", law=self.law)
+            raise Misplaced(text, "cracking_pressure")
         if (odd := law.odd(self)) is not None:
             raise Misplaced(*odd)
         return self

@@ -11,7 +11,7 @@ from ehbench.data.logs.layout import MAGIC
 from ehbench.data.logs.salvage import Salvage, Stream
 from ehbench.data.record import Record, Window
 from ehbench.runtime.disk import DATA, read_bytes
-from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.errors import LogError, placed
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.units import to_si
@@ -22,10 +22,8 @@ def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> R
     data = read_bytes(path, DATA, LogError)
     if not data:
         raise LogError(message("data.empty_file"), file=path)
-    try:
+    with placed({"file": path}):
         result = Salvage(data)
-    except LogError as error:  # of an integer
-        raise LogError(error.message, file=path, hint=error.hint) from None
     if not data.startswith(MAGIC) and not result.streams:
         begins = data[: len(MAGIC)]
         raise LogError(message("data.no_mcap", magic=MAGIC, begins=begins), file=path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import calendar
 import re
 from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -179,15 +179,12 @@ def _stamp(cell: str, slashed: str) -> _Stamp | None:
         month = _MONTHS.get(date["m"][:3].lower(), 0) if date["m"].isalpha() else int(date["m"])
         year = int(date["y"]) + 2000 * (len(date["y"]) == 2)
         try:
-            midnight = datetime(year, month, int(date["d"]), tzinfo=_zone(zone))
+            ahead = timedelta()
+            if zone not in (None, "", "Z", "UTC"):
+                ahead = timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
+            ahead = -ahead if zone and zone[0] == "-" else ahead
+            midnight = datetime(year, month, int(date["d"]), tzinfo=timezone(ahead))
             return _Stamp(int(midnight.timestamp()) + whole, parts, True, 0)
         except (ValueError, OverflowError):
             return None
     return None
-
-
-def _zone(text: str | None) -> timezone:
-    if text in (None, "", "Z", "UTC"):
-        return UTC
-    hours, minutes = int(text[1:3]), int(text[-2:])
-    return timezone((-1 if text[0] == "-" else 1) * timedelta(hours=hours, minutes=minutes))

@@ -78,19 +78,10 @@ def _has_formula(conversion, depth: int = DEPTH) -> bool:
     return any(_has_formula(block, depth - 1) for block in blocks)
 
 
-def _needs_raw(conversion) -> bool:
-    """Whether a conversion is worked out here: asammdf evaluates formulas as Python code, works out
-    polynomials in the readings' own integers, which overflow, and finds no integer in a table of
-    ranges.
-    """
-    if conversion is None:
-        return False
-    kind, version = conversion.conversion_type, _version(conversion)
-    return _has_formula(conversion) or kind in (_RATIONAL[version], _RANGES[version])
-
-
 def _converted(samples: np.ndarray, conversion) -> np.ndarray:
-    """Readings converted here, those of the library as they are.
+    """Readings converted here, those of the library as they are: asammdf evaluates formulas as
+    Python code, works out polynomials in the readings' own integers, which overflow, and finds no
+    integer in a table of ranges.
 
     Raises:
         LogError: the formula is not understood, or one in a table of others; an integer that no
@@ -128,10 +119,13 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
         raise LogError(message("data.time_by_formula", name=name))
     by_library, by_raw = [], []
     for at, channel in enumerate(group.channels):
-        if channel.channel_type in _VARYING[_version(channel)]:  # a damaged file crashes over them
+        conversion, version = channel.conversion, _version(channel)
+        kind = getattr(conversion, "conversion_type", None)
+        if channel.channel_type in _VARYING[version]:  # a damaged file crashes over them
             unread.append(message("data.not_read", name=f"{name}/{channel.name}"))
         elif at != master:
-            (by_raw if _needs_raw(channel.conversion) else by_library).append(at)
+            here = _has_formula(conversion) or kind in (_RATIONAL[version], _RANGES[version])
+            (by_raw if here else by_library).append(at)
     signals = {}
     for raw, places in ((False, by_library), (True, by_raw)):
         required = [(None, index, at) for at in places]

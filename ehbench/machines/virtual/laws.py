@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ehbench.machines.virtual.plant import A_CYLINDER, FILTER, LINES, RAW, VirtualPlant
-from ehbench.parts.cylinder import RELIEF_GAIN, leakage_slope, linkage_of
+from ehbench.parts.cylinder import leakage_slope, linkage_of
 from ehbench.parts.edge import CHECK, PUMP, check, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.edge.preload import metered
@@ -209,7 +209,7 @@ def _supply(y, bench, dy, work):
         return 0.0
     stroke = min(max((y[at.sensed] - p) / fluid.droop, 0.0), 1.0)
     dy[at.pump] = (line.flow_limit * stroke - y[at.pump]) / fluid.pump_lag
-    spilt = relief_flow(p, fluid.supply_relief, RELIEF_GAIN)
+    spilt = relief_flow(p, fluid.supply_relief)
     dy[at.supply] = stiffness * (y[at.pump] - demand - spilt)
     pumping = math.sqrt(stiffness * line.flow_limit / (fluid.droop * fluid.pump_lag))
     return max(stiffness * work[at.slope + SUPPLY], pumping)

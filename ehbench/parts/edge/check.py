@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import ORIFICE_DROP, root
@@ -69,16 +69,6 @@ def slope(drop, flow, reach, edge):
     return edge.gain * (steep * root(abs(drop)) + chord)
 
 
-def pack(edge: Any) -> dict[str, float]:
-    """Columns of a check valve but for its pilot's node."""
-    return {
-        "gain": float(edge.orifice_gain),
-        "cracking_pressure": float(edge.cracking_pressure),
-        "opening_range": float(edge.opening_range),
-        "pilot_ratio": float(edge.pilot_ratio or 0.0),
-    }
-
-
 LAW = EdgeLaw(
     name="check",
     columns=(
@@ -87,7 +77,6 @@ LAW = EdgeLaw(
     ),
     flow=flow,
     opening=opening,
-    pack=pack,
     needs_fixed=("orifice_gain",),
     takes=("cracking_pressure", "opening_range", "pilot", "pilot_ratio"),
     has_deadband=False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 from ehbench.parts.edge.law import EdgeLaw, beyond_deadband
 from ehbench.parts.fault import Fault
@@ -28,21 +28,11 @@ def level(drop, edge):
 flow, opening = beyond_deadband(level)
 
 
-def pack(edge: Any) -> dict[str, float]:
-    """Columns of an edge."""
-    return {
-        "gain": float(edge.compensated_gain),
-        "deadband": edge.onset,
-        "compensation_drop": float(edge.compensation_drop),
-    }
-
-
 LAW = EdgeLaw(
     name="compensated",
     columns=(("gain", "f8"), ("deadband", "f8"), ("compensation_drop", "f8")),
     flow=flow,
     opening=opening,
-    pack=pack,
     needs=("compensated_gain",),
     takes=("compensation_drop",),
 )

@@ -61,10 +61,9 @@ class EdgeLaw:
     bounds how fast a flow other than zero changes with a pressure at either end [m³/(s·Pa)], for
     the substep guard.
 
-    ``pack(edge)`` gives the law's columns of an edge of the rig file by their names; of that
-    edge's keys it ``needs`` some, ``needs_fixed`` where the edge has no command, and ``takes``
-    others. ``has_deadband`` says whether its ``deadband`` counts. ``odd(edge)`` is (what is wrong
-    with its numbers together, the key to blame), or None.
+    Of the keys of an edge of the rig file it ``needs`` some, ``needs_fixed`` where the edge has no
+    command, and ``takes`` others. ``has_deadband`` says whether its ``deadband`` counts.
+    ``odd(edge)`` is (what is wrong with its numbers together, the key to blame), or None.
 
     A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
     may be that of an edge without a command; it is only of such edges where it is not
@@ -74,7 +73,6 @@ class EdgeLaw:
     columns: tuple[tuple[str, str], ...]
     flow: Callable
     opening: Callable
-    pack: Callable[[Any], dict[str, float]]
     needs: tuple[str, ...] = ()
     needs_fixed: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
@@ -84,3 +82,10 @@ class EdgeLaw:
     slope: Callable = _chord
     metering: bool = True
     commanded: bool = True
+
+    def pack(self, edge: Any) -> dict[str, float]:
+        """Its numbers of an edge of the rig file, by the names of their columns; a ``gain`` is the
+        first key that it needs."""
+        keys = {"gain": next(iter((*self.needs, *self.needs_fixed)), ""), "deadband": "onset"}
+        numbers = (name for name, kind in self.columns if kind == "f8")
+        return {name: float(getattr(edge, keys.get(name, name), None) or 0.0) for name in numbers}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.fault import Fault
@@ -45,18 +44,12 @@ def known(drop, edge, maps):
     return map_command(abs(drop), math.inf, maps, map_of(drop, edge))
 
 
-def pack(edge: Any) -> dict[str, float]:
-    """None: where its maps begin is known when all maps are packed."""
-    return {}
-
-
 LAW = EdgeLaw(
     name="map",
     columns=(("forward", "i8"), ("reverse", "i8")),
     flow=flow,
     opening=opening,
     known=known,
-    pack=pack,
     has_deadband=False,
 )
 

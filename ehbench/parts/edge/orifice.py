@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 from ehbench.parts.edge.law import EdgeLaw, beyond_deadband
 from ehbench.parts.fault import Amount, Fault
@@ -35,17 +35,11 @@ def level(drop, edge):
 flow, opening = beyond_deadband(level)
 
 
-def pack(edge: Any) -> dict[str, float]:
-    """Columns of an edge."""
-    return {"gain": float(edge.flow_gain), "deadband": edge.onset}
-
-
 LAW = EdgeLaw(
     name="orifice",
     columns=(("gain", "f8"), ("deadband", "f8")),
     flow=flow,
     opening=opening,
-    pack=pack,
     needs=("flow_gain",),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.fault import Amount, Fault
@@ -53,17 +53,11 @@ def slip_loss(drop, edge):
     return edge.slip * drop * drop
 
 
-def pack(edge: Any) -> dict[str, float]:
-    """Columns of a pump with a command, or of one without."""
-    return {key: float(getattr(edge, key, None) or 0.0) for key, _ in LAW.columns}
-
-
 LAW = EdgeLaw(
     name="pump",
     columns=(("displacement", "f8"), ("speed_gain", "f8"), ("pump_speed", "f8"), ("slip", "f8")),
     flow=flow,
     opening=opening,
-    pack=pack,
     needs=("displacement", "speed_gain"),
     needs_fixed=("displacement", "pump_speed"),
     takes=("slip",),

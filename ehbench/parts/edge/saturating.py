@@ -68,16 +68,6 @@ def odd(edge: Any) -> tuple[str, str] | None:
     return None
 
 
-def pack(edge: Any) -> dict[str, float]:
-    """Columns of an edge."""
-    return {
-        "gain": float(edge.flow_gain),
-        "deadband": edge.onset,
-        "opening_max": float(edge.opening_max),
-        "saturation_softness": float(edge.saturation_softness or 0.0),
-    }
-
-
 LAW = EdgeLaw(
     name="saturating",
     columns=(
@@ -87,7 +77,6 @@ LAW = EdgeLaw(
     flow=flow,
     opening=opening,
     known=known,
-    pack=pack,
     needs=("flow_gain", "opening_max"),
     takes=("saturation_softness",),
     odd=odd,
