@@ -296,8 +296,8 @@ def test_a_step_that_gains_what_it_should_leaves_the_starts_as_they_are(
 ):
     here, there, origin = (Stub(free=()) for _ in range(3))
     asked: Any = Stub(simulator=Stub(effort=Effort()), report=lambda *_: None)
-    given = {"linearised": [], "start_jacobian": [], "step": (here, [], 1.0), "evaluate": there}
-    given |= {"carried": there, "cost": lambda _, state: 10.0 - gained * (state is there)}
+    given = {"linearised": [], "start_jacobian": [], "step": (here, [], 2.0), "evaluate": there}
+    given |= {"carried": there, "cost": lambda _, state: 10.0 - 2.0 * gained * (state is there)}
     with answers(descent, **given):
         before: Any = descent._Descent(here, origin, 2.0, 4)  # pyright: ignore[reportArgumentType]
         after = descent._stepped(asked, before, 1e-3, secant)
