@@ -46,13 +46,13 @@ CASES = [
 
 
 def prepared(name: str, law: str = "", several: bool = True):
-    """A short trial of a rig: its cylinders go out and back, all at once or the last alone."""
+    """A short trial of a rig: all its cylinders, or that of most valves, go out and back."""
     rig = shipped(name)
     keys = {"stage": "trial", "rig": "rig.toml", "duration": "0.5 s"}
     if law:
         gains = {"feedback_gain": "1e-12 m^3/(s*Pa)"} if law == "pressure_feedback" else {}
-        motions = []
-        for cylinder in rig.cylinder[0 if several else -1 :]:
+        motions, richest = [], max(rig.cylinder, key=lambda item: len(item.valve))
+        for cylinder in rig.cylinder if several else [richest]:
             stroke = float(cylinder.stroke)
             points = [f"{share * stroke!r} m" for share in (0.4, 0.42, 0.4)]
             motion = {"kind": "point_to_point", "cylinder": cylinder.name, "waypoints": points}
