@@ -38,20 +38,28 @@ def trial(folder, motion=THREE, controller=None, **given):
     return TrialRecipe(stage="trial", rig="x.toml", **given)
 
 
+TWO = THREE | {"also": THREE["also"][:1]}
 MIXED = {"kind": "arc", "cylinders": {"swing": {"kind": "position"}}}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limits", [{}, {"speed_max": "70 mm/s"}], ids=["free", "stopped"])
-def test_the_compiled_path_of_three_cylinders_is_the_path_tick_by_tick(limits, tmp_path):
-    prepared = prepare(trial(tmp_path, controller=MIXED, limits=limits), ARM)
+@pytest.mark.parametrize(
+    ("motion", "controller", "limits"),
+    [(THREE, {"kind": "arc"}, {}), (TWO, MIXED, {"speed_max": "70 mm/s"})],
+    ids=["free", "stopped"],
+)
+def test_the_compiled_path_of_several_cylinders_is_the_path_tick_by_tick(
+    motion, controller, limits, tmp_path
+):
+    prepared = prepare(trial(tmp_path, motion, controller, limits=limits), ARM)
     many, one = run(prepared), run(prepared, fast=False)
     assert list(many.record.channels) == list(one.record.channels)
     for name, values in many.record.channels.items():
         assert np.array_equal(values, one.record[name]), name
     assert many.facts == one.facts and bool(many.facts.stopped) == bool(limits)
-    assert set(many.facts.measures["also"]) == {"swing", "stick"}
-    assert "swing.v_asked" in many.record and "boom.payload_estimate" in many.record
+    assert set(many.facts.measures["also"]) == {one["cylinder"] for one in motion["also"]}
+    assert ("swing.v_asked" in many.record) == (controller is MIXED)
+    assert "boom.payload_estimate" in many.record
 
 
 def test_what_the_others_add_is_what_the_mechanism_asks_for(tmp_path):

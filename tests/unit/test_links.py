@@ -619,9 +619,9 @@ def test_clocks_and_delays_are_estimated_with_intervals_that_hold_the_truth():
 
 
 def test_no_fault_takes_the_machine_farther_than_its_margin(tmp_path):
-    """100 of the study's faults: within the margin, valve at rest, log read, the stop fits."""
+    """50 of the study's faults: within the margin, valve at rest, log read, the stop fits."""
     base, reasons = link_study.trial("model"), {}
-    for seed in range(100):
+    for seed in range(50):
         item = link_study.outcome(base, link_study.drawn(seed), seed, tmp_path / "log.mcap")
         assert item.safe and item.right, item
         reasons.setdefault(item.fault.kind, set()).add(item.limit)

@@ -88,10 +88,9 @@ def test_no_lever_leaves_its_strokes_or_hurries():
 
 # --- trials and their replay
 
-ARM = {
-    "motion": HAND | {"cylinder": "boom", "also": [HAND | {"cylinder": "stick"}]},
-    "duration": "1 s",
-}
+BOOM = HAND | {"cylinder": "boom"}
+THREE = BOOM | {"also": [HAND | {"cylinder": name} for name in ("swing", "stick")]}
+ON_BENCH = {"controller": {"kind": "position"}, "on": "bench"}
 FEEDBACK = {"kind": "pressure_feedback", "gains": {"feedback_gain": "5e-12 m^3/(s*Pa)"}}
 
 
@@ -103,19 +102,16 @@ def played(keys, place):
 
 
 @pytest.mark.parametrize(
-    ("rig", "keys"),
+    ("rig", "levers", "keys"),
     [
-        ("slide_servo", {}),
-        ("slide_servo", {"controller": {"kind": "open_loop"}}),
-        ("thesis_arm", ARM),
-        ("thesis_arm", ARM | {"controller": {"kind": "arc"}}),
-        ("thesis_arm", ARM | {"controller": {"kind": "position"}, "on": "bench"}),
+        ("slide_servo", 1, {}),
+        ("slide_servo", 1, {"controller": {"kind": "open_loop"}}),
+        ("thesis_arm", 3, {"motion": THREE, "duration": "1 s", "controller": {"kind": "arc"}}),
+        ("thesis_arm", 1, {"motion": BOOM, "duration": "1 s"} | ON_BENCH),
     ],
 )
-def test_a_replay_is_the_trial_to_the_bit(rig, keys, tmp_path):
-    hand = run(
-        trial(rig, **keys), log=tmp_path / "log.mcap", operator=Hand(2 if keys.get("motion") else 1)
-    )
+def test_a_replay_is_the_trial_to_the_bit(rig, levers, keys, tmp_path):
+    hand = run(trial(rig, **keys), log=tmp_path / "log.mcap", operator=Hand(levers))
     assert hand.facts.stopped == "" and np.ptp(hand.record[f"{hand.facts.cylinder}.x"]) > 5e-3
     again = run(trial(rig, **played(keys, tmp_path)))
     assert again.record.channels.keys() == hand.record.channels.keys()

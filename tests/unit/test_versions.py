@@ -360,7 +360,7 @@ def test_maps_change_only_with_their_version(name):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_results_and_files_change_only_with_their_versions(made_once, name):
+def test_results_and_files_change_only_with_their_versions(made_once, unpainted, name):
     root = made_once(f"versions_{name}", lambda root: made(root, name))
     folder = next(root.glob(f"{name}_*"))
     agree(name, numbers_of(name, folder))
