@@ -351,19 +351,17 @@ def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case):
 
 def test_repeats_that_agree_stay_in_however_far_from_the_map():
     """One cell at a command is 15 % high, in all its trials."""
-    clean = fitted(compensated, 5).map
-    for volts in (5.0, 8.0):
-        data = readings(compensated, 5)
-        amid = (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
-        cell = amid & (data["command"] == volts)
-        found = fit({**data, "flow": np.where(cell, 1.15, 1.0) * data["flow"]})
-        assert cell.sum() == 3
-        assert not found.outliers and compare(found, compensated)[0] >= 0.9
-        drop = float(data["pressure_drop"][cell].mean())
-        # what one cell in its neighbourhood misses the map by widens the interval there, and not
-        # far from it
-        assert found.map.flow_std(drop, volts) > 4 * clean.flow_std(drop, volts)
-        assert found.lack_of_fit > 1.5 and np.all(np.abs(found.sigmas[cell]) > 3)
+    clean, volts, data = fitted(compensated, 5).map, 8.0, readings(compensated, 5)
+    amid = (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
+    cell = amid & (data["command"] == volts)
+    found = fit({**data, "flow": np.where(cell, 1.15, 1.0) * data["flow"]})
+    assert cell.sum() == 3
+    assert not found.outliers and compare(found, compensated)[0] >= 0.9
+    drop = float(data["pressure_drop"][cell].mean())
+    # what one cell in its neighbourhood misses the map by widens the interval there, and not far
+    # from it
+    assert found.map.flow_std(drop, volts) > 4 * clean.flow_std(drop, volts)
+    assert found.lack_of_fit > 1.5 and np.all(np.abs(found.sigmas[cell]) > 3)
     assert found.map.flow_std(drop, 3.0) < 2 * clean.flow_std(drop, 3.0)
 
 
