@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.app import cli
+from ehbench.app import cli, starter
 from ehbench.report.terminal import answer
 from tests.answers import short
 from tests.shared import ROOT
@@ -32,8 +32,7 @@ def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.Compl
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("cli") / "my_rig"
-    done = ehbench("init", folder)
-    assert done.returncode == 0 and len(short(done.stdout)) == 3
+    starter.init(folder)
     return folder
 
 
@@ -81,11 +80,15 @@ def test_a_campaign_that_is_not_there_is_told_from_those_that_are(inside, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_init_leaves_a_full_folder_alone(inside, tmp_path):
-    (tmp_path / "mine.txt").write_text("keep")
-    done = inside("init", tmp_path)
+def test_init_says_three_lines_and_leaves_a_full_folder_alone(inside, tmp_path):
+    done = inside("init", tmp_path / "new")
+    assert done.returncode == 0 and len(short(done.stdout)) == 3
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine.txt").write_text("keep")
+    done = inside("init", full)
     assert done.returncode == 2 and "not empty" in done.stderr
-    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+    assert [p.name for p in full.iterdir()] == ["mine.txt"]
 
 
 @pytest.mark.slow

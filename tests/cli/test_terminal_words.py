@@ -21,9 +21,10 @@ LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
 
 
 @pytest.fixture(scope="module")
-def place(slide_runs, tmp_path_factory) -> Path:
+def place(slide_runs, boom_maps, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("words")
-    shutil.copytree(slide_runs, folder / "reports")
+    for runs_of in (slide_runs, boom_maps):
+        shutil.copytree(runs_of, folder / "reports", dirs_exist_ok=True)
     for name in ("recipes", "datasets"):
         (folder / name).symlink_to(ROOT / name)
     return folder
@@ -56,11 +57,16 @@ def test_each_command_is_short(words, place, inside, undrawn):
 
 NO_COMMAND = ("bench", "dataset")
 CHEAP = (
-    *("slide_servo/hydraulics", "slide_servo/validation", "slide_servo/response"),
-    *("slide_servo/tuning", "slide_servo/arc_tuning", "trials/velocity_steps"),
-    *("boom_four_valve/flow_maps", "boom_four_valve/hydraulics", "boom_four_valve/validation"),
-    *("studies/stopping_trial", "trials/arc_slow"),
+    *("slide_servo/response", "slide_servo/tuning", "slide_servo/arc_tuning"),
+    *("boom_four_valve/hydraulics", "boom_four_valve/validation"),
+    *("studies/stopping_trial", "trials/arc_slow", "trials/velocity_steps"),
 )
+
+
+def short_run(folder: Path) -> None:
+    """Fail unless a run tells in few words what it found."""
+    facts = read_json(folder / "run.json")
+    short("\n".join(answer(folder, facts["notes"], facts["code"]).lines()))
 
 
 @pytest.mark.slow
@@ -79,6 +85,19 @@ def test_each_cheap_recipe_is_short(name, place, inside, undrawn, unlocused):
 
 
 @pytest.mark.slow
+def test_each_run_that_stands_is_short(slide_runs, boom_maps):
+    stand = [
+        run
+        for runs_of in (slide_runs, boom_maps)
+        for run in runs_of.iterdir()
+        if not run.name.startswith("campaign")
+    ]
+    assert len(stand) == 3
+    for run in stand:
+        short_run(run)
+
+
+@pytest.mark.slow
 def test_the_pump_cylinder_is_identified_and_accepted_in_few_words(undrawn, tmp_path):
     """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
     recipe = ROOT / "recipes" / "pump_cylinder" / "campaign.toml"
@@ -90,8 +109,7 @@ def test_the_pump_cylinder_is_identified_and_accepted_in_few_words(undrawn, tmp_
         assert status[name] == "estimated"
     assert read_json(judged / "validation.json")["accepted"]
     for folder in (fit, judged):
-        facts = read_json(folder / "run.json")
-        short("\n".join(answer(folder, facts["notes"], facts["code"]).lines()))
+        short_run(folder)
 
 
 RECIPES = {
