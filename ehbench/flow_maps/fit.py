@@ -62,7 +62,7 @@ class FitSettings:
     lack_rms: float = setting(0.05, "", "rms from which a doubted map is refused", "lone cells")
     fall_rms: float = setting(0.01, "", "the same of a map that falls with the opening", "as above")
     settle: int = setting(20, "", "turns after which no reading comes back", "few needed")
-    lag_turns: int = setting(4, "", "largest number of turns for the hysteresis", "few needed")
+    lag_turns: int = setting(12, "", "largest number of turns for hysteresis and shift", "8 seen")
     lag: float = setting(4.0, "", "standard errors of a hysteresis or shift", "chance")
     lag_share: float = setting(5e-4, "", "the same, of the largest command", "drivers")
     leak_gain: float = setting(10.83, "", "−2 log likelihood between two leaks", "χ² at 99.9 %")

@@ -109,8 +109,10 @@ def steps_only(command: np.ndarray, span: float) -> np.ndarray:
 
 def stands(commands: np.ndarray, begin: int) -> bool:
     """Whether commands [V], shape (samples, valves), stand from sample ``begin`` on where they have
-    just stepped: a sine or a slow ramp only seems to, within the noise.
+    just stepped: a sine or a slow ramp only seems to, within the noise. Two samples tell nothing.
     """
+    if len(commands) - begin < 3:
+        return False
     step = float(np.max(np.abs(commands[begin] - commands[0])))
     parts = np.array([part.mean(axis=0) for part in np.array_split(commands[begin:], 3)])
     return float(np.max(np.ptp(parts, axis=0))) <= SETTINGS.creep * step

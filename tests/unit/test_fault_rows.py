@@ -165,6 +165,16 @@ def test_a_spring_on_the_rod_that_nobody_wrote_down():
     assert kinds == {("spring", "press.force.stiffness"), ("spring", "press.force.free_length")}
 
 
+def test_an_overlap_leaves_the_null_that_the_rig_file_has():
+    record = Record(T, {"press.servo.command": LEVELS})
+    valve = slide().as_toml()["cylinder"][0]["valve"][0]
+    rig = slide(valve=[valve | {"null": "0.05 V"}])
+    rows = {row.kind: row for row in hypotheses(rig, ["press"], [], [record])}
+    altered = rows["overlap"].rig(rig, 0.02).cylinder[0].valve[0]
+    assert float(altered.null or 0.0) == 0.05 and float(altered.overlap or 0.0) > 0.1
+    assert rows["overlap"].starts[0]["press.servo.null"] == 0.05
+
+
 def test_a_rod_through_both_ends_that_nobody_wrote_down():
     """Asked of a bore and a rod, and gone where the rig file has it."""
     rows, rig = rows_of("slide_servo", ("x",), ("press.servo",)), shipped("slide_servo")

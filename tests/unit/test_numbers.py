@@ -1,11 +1,12 @@
 """One grammar of numbers for all text: what a cell means, and where it may mean two things."""
 
+import numpy as np
 import pytest
 
 from ehbench.config.recipe.columns import ColumnMap, Columns, MappedColumn
 from ehbench.data import read
 from ehbench.data.flowmeter import read_flowmeter
-from ehbench.data.readers import open_source
+from ehbench.data.readers import SourceColumn, open_source
 from ehbench.data.text import number
 from ehbench.vocabulary.errors import InputError, LogError
 
@@ -113,6 +114,11 @@ def test_a_header_goes_on_over_lines_and_a_second_name_retains_its_unit(tmp_path
     assert [column.known_unit for column in table.columns] == ["s", "kPa", "kPa"]
     assert [column.name for column in table.columns][:2] == ["Time [s]", "Pressure [kPa]"]
     assert table.lines == [5, 6, 7]
+
+
+def test_a_rate_in_the_end_of_a_name_has_its_unit():
+    """As CAN loggers write them."""
+    assert SourceColumn("TILT_RATE_dps", np.zeros(3)).known_unit == "deg/s"
 
 
 DOORS = {  # a table of every kind that is text: (header, the row of a cell, what reads it)

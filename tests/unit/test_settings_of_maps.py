@@ -185,7 +185,7 @@ ROWS = [
     (fit.SETTINGS, "lack_rms", lambda: [fit_of(r, 200)[0] for r in (0.047, 0.053)], ["", REFUSED]),
     (fit.SETTINGS, "fall_rms", lambda: [fit_of(r, 200, 5.0)[0] for r in (0.009, 0.011)],
      ["", REFUSED]),
-    (fit.SETTINGS, "lag_turns", lambda: fit_of(lag=(0.1, 0.01))[1], 4),
+    (fit.SETTINGS, "lag_turns", lambda: fit_of(lag=(0.1, 0.01))[1], 12),
     (fit.SETTINGS, "lag", lambda: [fit_of(lag=(0.1, 0.1 / n))[2] > 0.0 for n in (3.8, 4.2)],
      [False, True]),
     (fit.SETTINGS, "lag_share", lambda: [fit_of(lag=(v, 1e-6))[2] > 0.0 for v in (4.7e-3, 5.3e-3)],

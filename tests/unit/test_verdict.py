@@ -140,6 +140,7 @@ def test_what_stands_and_what_only_seems_to():
     assert stands(step, 100)
     noise = np.random.default_rng(1).uniform(-0.02, 0.02, step.shape)
     assert stands(step + noise, 100)
+    assert not stands(step, 998), "two samples, with no third part to compare"
     assert not stands(np.clip(0.3 * t, 0.0, None)[:, None], 100), "a slow ramp"
     assert not stands(np.sin(2.0 * math.pi * 0.3 * t)[:, None], 100)
 

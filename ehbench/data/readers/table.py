@@ -21,7 +21,7 @@ from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import listed, numbered, shortened
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
-_PLAIN = "m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm"
+_PLAIN = "m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm|dps"
 _UNIT_LAST = (
     r"\[([^\[\]]*)\]\s*$",
     r"\(([^()]*)\)(?:\s*$|;|\s*\[)",

@@ -233,7 +233,9 @@ class _Rows:
         )
         edits = ()
         if adds:
-            content = {key: scales.written(item) for key, item in fault.adds.items()}
+            has = {k for k in fault.keys if f"{prefix}{k}" in self.known}  # stays as it is
+            new = {key: item for key, item in fault.adds.items() if key not in has}
+            content = {key: scales.written(item) for key, item in new.items()}
             also = {
                 key: scales.written(Amount((1.0,), "friction", "N"))
                 for key in fault.keys

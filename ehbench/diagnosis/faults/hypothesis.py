@@ -43,7 +43,7 @@ class Number:
     @classmethod
     def of(cls, fault: Fault, key: str, name: str, known: Value | None, scales: Scales) -> Number:
         """A number of a row; ``known`` is that of the rig file, if it has one."""
-        added = fault.adds.get(key.rpartition(".")[2])
+        added = fault.adds.get(key.rpartition(".")[2]) if known is None else None
         here = float(known) if known is not None else scales.of(fault.neutral)
         unit = here if fault.unit == "share" else scales[fault.unit]
         if fault.moved and key not in fault.moved:
