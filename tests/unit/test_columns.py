@@ -558,6 +558,7 @@ def test_what_a_name_says_is_guessed(tmp_path):
         "speed [m/s]": "cylinder.v",
         "valve cmd [V]": "cylinder.valve.command",
         "Befehl (V)": "cylinder.valve.command",
+        "AI_CMD_TILT_mA": "cylinder.valve.command",
         "Course [cm]": "cylinder.x",
         "Vitesse [mm/s]": "cylinder.v",
         "Ref_pos [mm]": "",

@@ -199,7 +199,11 @@ def words_of(name: str) -> set[str]:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])(?!Sec)", " ", plain)  # mSec are no seconds
     parts = re.findall(r"[^\W\d_]+|\d+", spaced)
     parts = [part.lower() for part in parts]
-    parts = [part for at, part in enumerate(parts) if parts[at - 1 : at][:1] not in _COUNTED]
+    parts = [
+        part
+        for at, part in enumerate(parts)
+        if parts[at - 1 : at] not in _COUNTED or not (part.isdigit() or len(part) == 1)
+    ]
     words = set(parts) | ({"pp"} if parts.count("p") > 1 else set())
     ends = {
         (stem, word.startswith(stem) or word.endswith(stem)) for stem in _STEMS for word in words
