@@ -152,7 +152,7 @@ class _Search:
         return [*few[:2], *additional, *few[2:]]
 
     def _faults(self) -> list[Hypothesis]:
-        case, *_ = self.cases
+        case = self.cases[0]
         cylinders = dict.fromkeys(name for item in self.cases for name in item.cylinders)
         channels = dict.fromkeys(name for item in self.cases for name in item.channels)
         records = [item.record for item in self.cases]
@@ -288,8 +288,7 @@ class _Search:
         return [self._finding(best, delta, gain)] if counts else []
 
     def _finding(self, fault: Hypothesis, delta: float, gain: float) -> Finding:
-        case, *_ = self.cases
-        rig = case.model.rig
+        rig = self.cases[0].model.rig
         explains = float(gain / max(self.now - self.noise, gain))
         says, line = fault.sentence(rig, delta), fault.remedy(rig, delta)
         size, beyond = float(delta), fault.beyond(delta)

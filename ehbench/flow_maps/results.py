@@ -393,8 +393,8 @@ def _between(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
     roots = _chord(lambda root, opening: at(opening, root), r.roots, s, u, 1)
     start = _chord(at, r.levels, u, s, 0)
     start *= (r.levels[max(first - 1, 0)] <= u) & (u <= r.levels[first + 1])
-    bend = 2.0 if result.shape.along_s.kink else 4.0
-    return (roots / bend) ** 2 + (start / 4.0) ** 2
+    sure = 0.5 if result.shape.along_s.kink else 0.25
+    return (sure * roots) ** 2 + (0.25 * start) ** 2
 
 
 def _chord(

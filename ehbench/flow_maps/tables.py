@@ -138,9 +138,8 @@ def fit_edge(
 
 def _file_notes(part: FlowmeterData) -> Iterator[str]:
     """What the reader noted of a file, and rows that stand in it twice."""
-    file = next(iter(part.file))
-    name = Path(file).name
-    yield from (text.replace(str(file), name) for text in part.warnings)
+    name = Path(part.file[0]).name
+    yield from (text.replace(str(part.file[0]), name) for text in part.warnings)
     columns = part.valve, part.direction, part.method, part.trial, part.command, part.pressure_drop
     seen: set[tuple] = set()
     again = []
@@ -181,8 +180,7 @@ def _edge_of(
             there = ", ".join(f"{e.from_}->{e.to}" for _, _, e in options)
             text = message("flow_maps.unknown_direction", valve=valve, way=direction, there=there)
             raise InputError(text, **where)
-        option, *_ = along or against
-        options, side = [option], "forward" if along else "reverse"
+        options, side = (along or against)[:1], "forward" if along else "reverse"
     if len(options) > 1:
         there, count = ", ".join(name for name, _, _ in options), len(options)
         text = message("flow_maps.several_edges", valve=valve, count=count, there=there)

@@ -146,7 +146,9 @@ class Fmu:
         raise InputError(message("runtime.fmu_unit", **fields), file=self.file)
 
 
-_unpacked = lru_cache(maxsize=8)(lambda file, stamp, size: Fmu(file))
+@lru_cache(maxsize=8)
+def _unpacked(file: Path, stamp: int, size: int) -> Fmu:
+    return Fmu(file)
 
 
 def fmu_of(file: Path) -> Fmu:
