@@ -199,7 +199,7 @@ def run_validation(
         return _judge(log, prepared.channels, required)
 
     results: list[LogResult] = []
-    with ThreadPoolExecutor(max(1, min(workers or cores(), len(prepared.logs)))) as pool:
+    with ThreadPoolExecutor(min(workers or cores(), len(prepared.logs))) as pool:
         for result in pool.map(judge, prepared.logs):
             results.append(result)
             if progress is not None:

@@ -167,6 +167,9 @@ def test_logs_that_disagree_are_jackknifed():
     std, quantile, source = result.error(0)
     assert source == "jackknife" and std == pytest.approx(np.sqrt(expected[0]))
     assert quantile == pytest.approx(student.ppf(0.975, 5), rel=1e-9)
+    white = [block_of(rng.standard_normal((400, 1, 2)), empty, rng.standard_normal((400, 1)),
+                      np.zeros(0)) for _ in range(3)]  # fmt: skip
+    assert covariance_of(white, NONE).jackknife is None
 
 
 def test_readings_in_counts_are_off_alike_where_they_read_alike():

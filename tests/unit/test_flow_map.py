@@ -418,6 +418,13 @@ def test_readings_open_by_less_where_the_deadband_is_higher():
     assert plain.u - moved.u == pytest.approx(0.4 * (plain.drop / 8e6 - 0.5))
     assert moved.command == pytest.approx(plain.command)
     assert moved.shifted(0.0).u == pytest.approx(plain.u)
+    assert plain.roots[0] == 0.0 and plain.roots[1:] == pytest.approx(plain.places_read)
+    shares = readings_table(0.01 * command, drop, data.flow)
+    assert np.unique(sort_readings("v", shares, FlowMapOptions(), 0.0).level).size == 4
+    command = np.repeat([2.0, 3.0, 4.0, 5.0], 90)
+    drop = np.tile(8e6 * np.linspace(0.05, 1.0, 90) ** 2, 4)
+    many = readings_table(command, drop, 1e-4 * command * np.sqrt(drop / 8e6))
+    assert sort_readings("v", many, FlowMapOptions(), 0.0).roots.size == 0
 
 
 def test_readings_know_from_where_their_command_came():

@@ -410,6 +410,7 @@ def test_a_copy_of_a_noise_goes_on_where_it_rests_for_some_blocks(rng, quiet, ru
     assert held_out._same_noise(other, rows) == []
     assert held_out._same_noise(Record(t, {"x": copy}), rows) == []
     assert held_out._same_noise(Record(t[:63], {"v": copy[:63]}), rows) == []
+    assert held_out._overlaps(Record(t, {"x": copy}), rows) == []
 
 
 @pytest.mark.parametrize(("agreeing", "late"), [(24, 0.5), (16, 0.5), (6, 0.0)])
@@ -464,6 +465,8 @@ def test_what_is_scored_of_a_log_has_both_its_ends(scored, samples):
     record = Record(np.arange(9) * TICK, {"press.x": np.arange(9.0)})
     log = judge.JudgedLog(PreparedLog("log", record, MODEL), scored=scored)
     assert log.counted["press.x"].tolist() == list(samples)
+    keep = cases.Case.keep.func(Stub(record=record, scored=scored))
+    assert np.flatnonzero(keep).tolist() == list(samples)
 
 
 def test_a_log_that_cannot_be_judged_is_told_with_its_facts():

@@ -468,9 +468,11 @@ def rows_of(valve="servo_supply_head", way="forward", size=20, **columns: Any):
 def test_readings_go_to_the_edge_that_they_name(rig, valve, way, sign, name, side):
     """With commands as openings, up to a hundredth of 20 V beyond 10 V."""
     rows = rows_of(valve, way, command=sign * np.linspace(0.5, 5.0, 20))
+    first = int(rows.line[0])
     if not side:
-        with refused(name):
+        with refused(name) as said:
             tables.prepare_readings(shipped(rig), [rows])
+        assert (said.value.file, said.value.line) == ("b.csv", 20 if "outside" in name else first)
         return
     (edge,) = tables.prepare_readings(shipped(rig), [rows]).edges
     assert (edge.edge, edge.side) == (name or valve, side)

@@ -41,6 +41,14 @@ def notes(name, log):
     return list(misread(Case("log", log, model, commanded(model, log))))
 
 
+def test_a_foreign_model_is_asked_of_no_other_payload_or_channels(monkeypatch):
+    monkeypatch.setattr(recordings, "_left", lambda case: pytest.fail("simulated"))
+    foreign = Stub(model=Stub(rig=Stub(model="slide.fmu")), channels=("press.v",))
+    silent = Stub(model=Stub(rig=Stub(model=None)), channels=())
+    for case in (foreign, silent):
+        assert list(misread(case)) == []  # pyright: ignore[reportArgumentType]
+
+
 @pytest.mark.parametrize(("name", "load"), [(CRANE, "200 kg"), ("slide_servo", "100 kg")])
 def test_a_payload_that_a_log_does_not_name_is_named(name, load):
     for carried, written in ((load, "none"), (None, load)):

@@ -201,12 +201,29 @@ def test_a_bounded_step_is_the_least_of_its_quadratic():
     damped = bounded_step(normal, gradient, 0.5, np.full(2, -9.0), np.full(2, 9.0))
     held = normal + 0.5 * np.diag(np.diag(normal))
     assert damped == pytest.approx(-np.linalg.solve(held, gradient), rel=1e-6)
+    small = bounded_step(1e-4 * normal, 1e-4 * gradient, 0.5, np.full(2, -9.0), np.full(2, 9.0))
+    assert small == pytest.approx(damped, rel=1e-6)
     low, high = np.array([-0.5, -1.0]), np.array([0.7, 2.0])
     x, y = np.meshgrid(np.linspace(-0.5, 0.7, 601), np.linspace(-1.0, 2.0, 601), indexing="ij")
     value = 0.5 * (2.0 * x**2 + 1.8 * x * y + y**2) - 2.0 * x + y
     k = np.unravel_index(np.argmin(value), value.shape)
     step = bounded_step(normal, gradient, 0.0, low, high)
     assert step == pytest.approx([x[k], y[k]], abs=6e-3)
+
+
+def test_a_rise_is_that_of_the_least_squares_of_all_others():
+    """Of a gain half an interval off; its effect is on the stroke that it scales."""
+    asked = problem()
+    state, _ = settle(asked, nearest_basin(asked, initial(asked)), 1e-6)
+    state = evaluate(asked, state)
+    at = state.theta[2] + np.array([-2e-3, 3e-3])
+    rises, effect = estimating._rises(asked, state, 2, at)
+    free = joint(state).cost
+    asked_of_scipy = [2.0 * (joint(state, {2: x}).cost - free) for x in at]
+    assert rises == pytest.approx(asked_of_scipy, rel=0.05)
+    moved = 3e-3 * stroke(TRUTH, 0.0, 1.0)
+    share = np.sqrt(np.mean(moved**2, axis=0)) / np.std(asked.logs[0].recorded, axis=0)
+    assert effect == pytest.approx(max(share), rel=0.05)
 
 
 def test_sensors_of_each_log_have_the_errors_of_the_joint_problem():
