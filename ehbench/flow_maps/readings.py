@@ -255,7 +255,7 @@ def readings_table(
 
 
 def sort_readings(
-    who: str, given: FlowmeterData, options: FlowMapOptions, hysteresis: float = 0.0
+    who: str, given: FlowmeterData, options: FlowMapOptions, hysteresis: float
 ) -> Readings:
     """The readings at positive drops, sorted, gathered in cells and scaled.
 

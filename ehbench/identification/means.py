@@ -58,7 +58,7 @@ def means_of(
     if decimate != "auto":
         return BlockAverages.of(record, decimate) if decimate > 1 else None
     worth, share = SETTINGS.worth, SETTINGS.share
-    if worth * tick > SETTINGS.longest or count < worth * SETTINGS.fewest:
+    if worth * tick > SETTINGS.longest:
         return None
     longest = share / max(fastest(model, record), cutoff or 0.0, share / SETTINGS.longest)
     each = min(math.floor(longest / tick * (1.0 + 1e-6)), count // SETTINGS.fewest)

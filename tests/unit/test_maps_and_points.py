@@ -151,7 +151,7 @@ def test_one_cell_far_above_all_others_is_not_the_rated_flow(high, rated):
     flow = 0.2 * command * (0.94 + 0.01 * drop)
     flow[flow.size - len(high) :] = high
     rows = readings_table(command, 1e6 * drop, 1e-3 * flow)
-    found = sort_readings("map", rows, FlowMapOptions())
+    found = sort_readings("map", rows, FlowMapOptions(), 0.0)
     assert found.rated == pytest.approx(1e-3 * rated)
     assert found.y == pytest.approx(found.q / found.rated)
 
@@ -563,7 +563,7 @@ def test_a_meter_shows_nothing_below_its_limit_and_a_shift_moves_openings(shift)
     command, drop = (a.ravel() for a in np.meshgrid(np.arange(1.0, 6.0), np.arange(1.0, 7.0)))
     flow = 1e-6 * np.arange(1.0, 31.0)
     rows = readings_table(command, 1e6 * drop, flow)
-    r = sort_readings("map", rows, FlowMapOptions(meter_limit=3.5e-6)).shifted(shift)
+    r = sort_readings("map", rows, FlowMapOptions(meter_limit=3.5e-6), 0.0).shifted(shift)
     assert r.q[r.silent].tolist() == [0.0] * 3 and r.silent.sum() == 3
     assert r.q[~r.silent] == pytest.approx(flow[r.row][~r.silent])
     assert r.u == pytest.approx(r.command - shift * (r.drop / 6e6 - 0.5))
@@ -579,7 +579,7 @@ def test_a_display_rounds_by_its_smallest_step_over_the_root_of_twelve():
     flow = 1e-6 * np.arange(1.0, 31.0) * np.where(method == "meter", 1.0, 2.0)
     flow[3] = flow[5] * (1.0 + 1e-13)
     r = sort_readings(
-        "map", readings_table(command, 1e6 * drop, flow, method=method), FlowMapOptions()
+        "map", readings_table(command, 1e6 * drop, flow, method=method), FlowMapOptions(), 0.0
     )
     assert r.digit == pytest.approx(
         {"cylinder": 4e-6 / r.rated / 12**0.5, "meter": 2e-6 / r.rated / 12**0.5}

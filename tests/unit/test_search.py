@@ -209,6 +209,8 @@ def test_a_bounded_step_is_the_least_of_its_quadratic():
     k = np.unravel_index(np.argmin(value), value.shape)
     step = bounded_step(normal, gradient, 0.0, low, high)
     assert step == pytest.approx([x[k], y[k]], abs=6e-3)
+    small = bounded_step(1e-4 * normal, 1e-4 * gradient, 0.0, low, high)
+    assert small == pytest.approx(step, abs=1e-6)
 
 
 def test_a_rise_is_that_of_the_least_squares_of_all_others():

@@ -184,7 +184,7 @@ def sorted_readings(slope=1.0, drops=(1e6, 2e6, 4e6, 8e6), up=None):
         u = 5.0 + np.concatenate([[0.0], np.cumsum(ways)]) * 0.04
         drop, line = np.tile(drops, 26)[: u.size], np.arange(u.size)
         q = 1e-5 * u * np.sqrt(drop / 8e6)
-    return sort_readings("map", readings_table(u, drop, q, line=line), FlowMapOptions())
+    return sort_readings("map", readings_table(u, drop, q, line=line), FlowMapOptions(), 0.0)
 
 
 def spans(gap):
