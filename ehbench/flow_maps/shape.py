@@ -279,7 +279,7 @@ def lone_cells(readings: Readings, shape: Shape, cells: Cells) -> np.ndarray:
         leverage = np.minimum(result.variance(design) * cells.weight, 0.999)
         miss = np.abs(cells.y - design @ result.coefficients)
         far = miss * np.sqrt(cells.weight / (1.0 - leverage) / result.widening)
-        backed = (cells.weight > 0) & (cells.u > shape.deadband) & (cells.count > 1) & ~lone
+        backed = (cells.u > shape.deadband) & (cells.count > 1) & ~lone
         worst = int(np.argmax(np.where(backed, far, 0.0)))
         if not backed[worst] or far[worst] < READING.outlier:
             break

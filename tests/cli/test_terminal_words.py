@@ -76,6 +76,7 @@ def test_each_cheap_recipe_is_short(name, place, inside, undrawn, unlocused):
     stage = stage_of(load_recipe(ROOT / path))
     assert isinstance(stage, Stage) and stage.command in {item.name for item in COMMANDS}
     done = inside(stage.command, path, "--json", cwd=place)
+    assert done.stdout, done.stderr
     values = json.loads(done.stdout)
     assert all(step["key"].startswith("steps.") for step in values["steps"])
     assert {"verdict", "notes", "folder", "code"} <= values.keys()
