@@ -27,7 +27,7 @@ from ehbench.data.rates import (
 )
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.readers.clock import since_1970
-from ehbench.data.record import Record, resampled
+from ehbench.data.record import Record
 from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
@@ -329,8 +329,9 @@ def _filter(group: Group, columns: ColumnMap) -> None:
 
 
 def _in_time(group: Group, columns: ColumnMap) -> Group:
-    """The group with the channels that were written late, or early, put to where they belong; the
-    rows at an end for which they have no values are left out.
+    """The group with the channels that were written late, or early, put to where they belong, on
+    straight lines between their samples: a command too, which may be late by part of a sample time.
+    The rows at an end for which they have no values are left out.
     """
     late = {
         item.channel: float(item.late)
@@ -341,7 +342,7 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
         return group
     t, slack = group.t, 0.01 * group.period
     for name, by in late.items():
-        group.channels |= resampled({name: group.channels[name]}, t, t + by, slack)
+        group.channels[name] = np.interp(t + by, t, group.channels[name])
     keep = t + max(0.0, *late.values()) <= np.nanmax(t) + slack
     keep &= t + min(0.0, *late.values()) >= np.nanmin(t) - slack
     if not keep.any():

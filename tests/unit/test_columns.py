@@ -298,7 +298,12 @@ def test_what_was_written_late_is_put_back(tmp_path):
     assert np.allclose(record.t, t[kept])
     for name, values in true.items():
         assert np.allclose(record[name], values[kept], atol=1e-9), name
-    later = (tmp_path / "a.map.toml").read_text().replace("12 ms", "12 s")
+    known = (tmp_path / "a.map.toml").read_text()
+    (tmp_path / "a.map.toml").write_text(known.replace("12 ms", "13 ms"))
+    record = read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
+    stairs = record["ram.a.command"][(record.t > 0.095) & (record.t < 0.103)]
+    assert stairs == pytest.approx([1.0, 2.0, 3.0, 3.0])  # half a sample early
+    later = known.replace("12 ms", "12 s")
     (tmp_path / "a.map.toml").write_text(later)
     says = r"nothing is left of 0\.198 s .*ram\.a\.command by 12000 ms"
     with pytest.raises(LogError, match=says):
