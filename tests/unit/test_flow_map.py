@@ -421,6 +421,9 @@ def test_readings_open_by_less_where_the_deadband_is_higher():
     assert plain.roots[0] == 0.0 and plain.roots[1:] == pytest.approx(plain.places_read)
     shares = readings_table(0.01 * command, drop, data.flow)
     assert np.unique(sort_readings("v", shares, FlowMapOptions(), 0.0).level).size == 4
+    low = readings_table(command, np.tile([1e4, 3e4, 1e6, 4e6, 8e6], 4), data.flow)
+    places = sort_readings("v", low, FlowMapOptions(), 0.0).places_read
+    assert places.size == 4  # 2e4 Pa apart, less than 0.3 % of the largest
     command = np.repeat([2.0, 3.0, 4.0, 5.0], 90)
     drop = np.tile(8e6 * np.linspace(0.05, 1.0, 90) ** 2, 4)
     many = readings_table(command, drop, 1e-4 * command * np.sqrt(drop / 8e6))

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from ehbench.identification import estimate as estimating
 from ehbench.identification import journal, results, sensitivity, uncertainty
-from ehbench.identification.basins import descend, foreseen, level, nearest_basin
+from ehbench.identification.basins import _coarse, descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
 from ehbench.identification.hydraulics import ranked
 from ehbench.identification.problem import Problem, State, cost, evaluate, initial
@@ -211,6 +211,21 @@ def test_a_bounded_step_is_the_least_of_its_quadratic():
     assert step == pytest.approx([x[k], y[k]], abs=6e-3)
     small = bounded_step(1e-4 * normal, 1e-4 * gradient, 0.0, low, high)
     assert small == pytest.approx(step, abs=1e-6)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 0.02])
+def test_a_coarse_solution_is_judged_by_what_it_leaves_above_a_floor(noise):
+    """White noise, of which a floor of a two-hundredth of the spread makes a parabola."""
+    asked = problem((1.1, 0.9, 1.02), noise)
+    begin = initial(asked)
+    end = _coarse(asked, begin, begin.theta, [0, 1, 2])
+    values, starts = np.exp(end.state.theta), [float(s[0]) for s in end.state.shifts]
+    left = [stroke(values, s, 1.0 - 2.0 * k) - asked.logs[k].recorded for k, s in enumerate(starts)]
+    spread = np.std(stroke(TRUTH, OFFSET, 1.0), axis=0)
+    share = 200.0 * np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) / spread
+    told = np.sum(np.where(share > 1.0, 2.0 * np.log(share), share**2 - 1.0))
+    assert end.misfit == pytest.approx(told, rel=0.1) and not end.much
+    assert np.exp(end.state.theta) == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_a_rise_is_that_of_the_least_squares_of_all_others():
