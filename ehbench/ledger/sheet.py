@@ -180,7 +180,7 @@ class Sheet:
             for key in keys
             if not getattr(c, table)
         }
-        powers, stores = _power_rows(model), _store_rows(model)
+        powers, stores = _rows(model)
         self.powers, self.stores, self.rows = len(powers), len(stores), powers + stores
         if changes:
             self.rows.append(PAYLOAD)
@@ -245,9 +245,10 @@ class Sheet:
         return results
 
 
-def _power_rows(model: Model) -> list[Named]:
+def _rows(model: Model) -> tuple[list[Named], list[Named]]:
+    """(rows of the powers, rows of what is stored), in the order of `ehbench.ledger.powers`."""
     names, joints = model.layout, model.plant.cylinders.joint
-    rows: list[Named] = [
+    powers: list[Named] = [
         ("pump", "supply", "pump, Ps·Q", None),
         ("pump_compression", "supply", "pump, compression of the oil", None),
     ]
@@ -261,47 +262,43 @@ def _power_rows(model: Model) -> list[Named]:
         cylinder, edge_name = name.split(".", 1)
         shown = spools.get(name, edge_name)
         if edge.law == "pump":
-            rows.append((f"{name}.slip", "loss", f"{shown}, slip", cylinder))
+            powers.append((f"{name}.slip", "loss", f"{shown}, slip", cylinder))
             shafts.append((f"{name}.shaft", "supply", f"{edge_name}, shaft of the pump", cylinder))
         else:
             label = f"{shown}, {edge.from_} → {edge.to}"
-            rows.append((f"{name}.throttling", "valve", label, cylinder))
+            powers.append((f"{name}.throttling", "valve", label, cylinder))
     for name in names.cylinders:
         pairs = zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
-        rows += [(f"{name}.{key}", *labels, name) for key, labels in pairs]
+        powers += [(f"{name}.{key}", *labels, name) for key, labels in pairs]
     driven = {int(j): names.cylinders[i] for i, j in enumerate(joints)}
     label = "slide damping" if model.rig.mechanism.kind == "slide" else "joint damping"
     for j, name in enumerate(names.joints):
-        rows.append((f"{name}.damping", "loss", label, driven.get(j)))
-    rows += shafts
+        powers.append((f"{name}.damping", "loss", label, driven.get(j)))
+    powers += shafts
     for c, end in names.lines:
         name = names.cylinders[c]
-        rows.append((f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name))
-    rows += _of_each(model, names.mounts, "mount", "loss", "mount")
-    rows += _of_each(model, names.sways, "sway", "loss", "damper of what sways")
-    return rows + (RAIL if model.rig.supply.low_rail is not None else [])
-
-
-def _store_rows(model: Model) -> list[Named]:
-    names = model.layout
-    rows: list[Named] = [
+        powers.append((f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name))
+    powers += _of_each(model, names.mounts, "mount", "loss", "mount")
+    powers += _of_each(model, names.sways, "sway", "loss", "damper of what sways")
+    powers += RAIL if model.rig.supply.low_rail is not None else []
+    stores: list[Named] = [
         ("supply_line", "store", "oil of the supply line", None),
         ("kinetic", "load", "kinetic energy", None),
         ("potential", "load", "potential energy", None),
     ]
     for name in names.cylinders:
         pairs = zip(CylinderStores._fields, STORE_LABELS, strict=True)
-        rows += [(f"{name}.{key}", "store", label, name) for key, label in pairs]
+        stores += [(f"{name}.{key}", "store", label, name) for key, label in pairs]
     springy = dict.fromkeys(c for c, _ in names.friction_states)
-    rows += _of_each(model, springy, "friction_spring", "store", "spring of the friction")
+    stores += _of_each(model, springy, "friction_spring", "store", "spring of the friction")
     for c, end in names.lines:
         name = names.cylinders[c]
-        rows.append((f"{name}.line_{end}", "store", f"oil of the {end} end's line", name))
-    rows += _of_each(model, names.mounts, "mount_spring", "store", "spring of the mount")
-    rows += _of_each(model, names.sways, "swaying", "load", "mass that sways")
+        stores.append((f"{name}.line_{end}", "store", f"oil of the {end} end's line", name))
+    stores += _of_each(model, names.mounts, "mount_spring", "store", "spring of the mount")
+    stores += _of_each(model, names.sways, "swaying", "load", "mass that sways")
     if model.rig.supply.accumulator is not None:
-        rows.append(("accumulator", "store", "accumulator", None))
-    return rows
+        stores.append(("accumulator", "store", "accumulator", None))
+    return powers, stores
 
 
 def _of_each(
