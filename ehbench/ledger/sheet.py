@@ -14,7 +14,7 @@ from ehbench.plant.model import Model
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError, LogError
 from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.terms import MECHANICAL, Z95
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
@@ -46,11 +46,6 @@ RAIL: list[Named] = [
 PAYLOAD: Named = ("payload", "load", "gone with the payload", None)
 # rows of a cylinder that stand in a ledger only where the rig file has the table
 OPTIONAL = {"force": ("external_force", "load_spring")}
-# rows that the piston's work pays
-MECHANICAL = (
-    *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
-    *("mount", "mount_spring", "sway", "swaying"),
-)
 
 
 @dataclass(frozen=True)

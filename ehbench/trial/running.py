@@ -15,7 +15,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.arc import ARC
 from ehbench.data.logs import check_record
-from ehbench.data.record import Record, payloads_of, payloads_text
+from ehbench.data.record import Record, payloads_of
 from ehbench.ledger.readings import least_step
 from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.plant.build import links_of
@@ -164,7 +164,7 @@ def run(
     with ExitStack() as logging:
         with closing(at_work):  # at once, not when all is written
             session = Session(prepared, at_work, fast, watcher, operator)
-            meta, live = _meta(prepared, at_work), None
+            meta, live = prepared.meta(at_work), None
             if log is not None:
                 import tomli_w
 
@@ -195,25 +195,6 @@ def log_channels(prepared: Prepared) -> tuple[str, ...]:
     """
     with closing(prepared.machine) as machine:
         return tuple(Session(prepared, machine).channels(slice(0, 0)))
-
-
-def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
-    recipe, loop = prepared.recipe, prepared.loop
-    posture = ", ".join(f"{name} {value}" for name, value in prepared.posture.items())
-    meta = {
-        "rig": prepared.rig.name,
-        "payload": recipe.payload or "none",
-        "on": machine.name,
-        "seed": str(recipe.seed),
-        "posture": posture or "mid-stroke",
-        "title": recipe.title,
-    }
-    if recipe.payload_change:
-        changes = ((float(change.at), change.payload) for change in recipe.payload_change)
-        meta["payload_change"] = payloads_text(changes)
-    if loop is not None and recipe.controller is not None:
-        meta |= {"controller": recipe.controller.label, "cylinder": loop.design.cylinder}
-    return meta
 
 
 def _record(session: Session, meta: dict[str, str]) -> Record:
