@@ -191,8 +191,7 @@ def pack_arc(
     defaults are derived in ``docs/explanation/arc.md``.
 
     Args:
-        point: what it is designed for.
-        rules: of function selection, `ehbench.control.functions.pack_rules`.
+        point, rules: what it is designed for, and how functions are chosen.
         given: any of VOCABULARY_OF_GAINS [SI] instead of its default; `VOCABULARY`,
             `_Bounds.of`, `_total` and `_Learning.of` say what they are.
 

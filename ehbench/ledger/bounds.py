@@ -119,11 +119,8 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six
     ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+ + A2 L−)``.
 
-    Args:
-        rig: gives areas, pins and set pressure.
-        record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
-        cylinder: its name.
-        ledger: of the same record, for the energy drawn.
+    The record has ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder, the ledger of the
+    same record the energy drawn.
 
     Raises:
         InputError: no such cylinder.

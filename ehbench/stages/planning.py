@@ -34,11 +34,8 @@ class NextTest:
     rig_file: Path
 
     def answer(self, run: Path, written: Path | None) -> Answer:
-        """What the command says.
-
-        Args:
-            run: of the fit.
-            written: the recipe of the first test, if it was written.
+        """What the command says of the ``run`` of a fit; ``written`` is the recipe of the first
+        test, if it was.
         """
         name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
         now = self._text(self.known.interval)

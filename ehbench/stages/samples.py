@@ -184,12 +184,7 @@ class SampleInputs(Inputs):
 
 
 class Sampler:
-    """Makes samples of a plan.
-
-    Args:
-        plan: of the study.
-        scratch: a folder for what a sample writes and drops.
-    """
+    """Makes samples of a plan; ``scratch`` is a folder for what a sample writes and drops."""
 
     def __init__(self, plan: Plan, scratch: Path) -> None:
         self.plan, self.scratch = plan, scratch

@@ -357,8 +357,7 @@ def prepare(
     """Take in what a trial needs, without a tick and without a user's code.
 
     Args:
-        recipe: what to do.
-        rig: as the recipe names it.
+        recipe, rig: what to do, and the rig as the recipe names it.
         maps: measured flow maps of the rig, for the model and for the controller.
         gains: the run folder of the tune run that the recipe takes gains from, or what it says; by
             default where the recipe points.

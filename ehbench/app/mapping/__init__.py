@@ -75,12 +75,8 @@ class Draft:
 
 
 def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
-    """Look at a file and write a map of its columns with a picture of each.
-
-    Args:
-        path: the file.
-        out: the map to write; ``<name>.map.toml`` here if None.
-        rig: whose cylinders and valves the columns may be of.
+    """Look at a file and write a map of its columns, by default ``<name>.map.toml`` here, with a
+    picture of each; they may be of the cylinders and valves of a rig.
 
     Raises:
         InputError: something stands there already.

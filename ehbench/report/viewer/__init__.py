@@ -66,13 +66,9 @@ def page(
     changes: Sequence[str] = (),
     losses: dict[str, Sequence[str]] | None = None,
 ) -> str:
-    """The page of one or two logs, maps or runs; sheets of one name lie over one another.
-
-    Args:
-        sources: the files and folders.
-        columns: a map of the columns of logs by others.
-        changes: of `unsupported_runs`.
-        losses: where the notes on what a log lost are added, by its name.
+    """The page of one or two logs, maps or runs; sheets of one name lie over one another. A map of
+    ``columns`` is that of logs by others, ``changes`` are those of `unsupported_runs`; notes on
+    what a log lost are added to ``losses``, by its name.
 
     Raises:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
