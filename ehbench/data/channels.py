@@ -22,18 +22,14 @@ from ehbench.data.rates import (
     in_window,
     is_bad,
     joined,
-    lines_text,
-    repeated,
 )
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record, resampled
 from ehbench.signals.series import lowpass
-from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.text import listed
 
@@ -58,7 +54,7 @@ def read_mapped(
         columns = replace(given, columns=keys)
     mapping = _Mapping(path, columns, source)
     groups = mapping.groups()
-    losses = [note for group in groups for note in _rate_note(group)]
+    losses: list[str] = [note for group in groups for note in group.wrong_rate()]
     for name, mapped in columns.columns.names.items():
         losses += overruled(name, mapped, mapping.column(name), path)
     of_text = source.dialect.separator is not None  # tables below one another
@@ -76,7 +72,7 @@ def read_mapped(
         elif group.daytime is not None and daytime is not None:
             group.t = group.t + (group.daytime - daytime)
     if check and columns.columns.bad_samples == LEAVE_OUT:
-        groups = [_without_repeats(group, losses) for group in groups]
+        groups = [group.without_repeats(losses) for group in groups]
     for index, group in enumerate(groups):
         _filter(group, columns)
         if check:
@@ -274,30 +270,6 @@ class _Mapping:
         return Group(table.name, t, table.lines, began, daytime, **about)
 
 
-def _rate_note(group: Group) -> list[str]:
-    """A note where the rows of a table that a rate counts last another time than their stamps do,
-    by more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
-    """
-    stamps = group.stamped if group.t.size >= TIMESTAMP.fewest else None
-    if stamps is None or not np.isfinite(stamps).all():
-        return []
-    stamped, lasts = float(np.ptp(stamps)), float(np.ptp(group.t))
-    rounded = float(np.percentile(np.abs(np.diff(stamps)), 99))
-    if abs(stamped - lasts) <= 2.0 * rounded + SETTINGS.wrong_rate * lasts:
-        return []
-    return [message("data.wrong_rate", group=group.title, rows=lasts, stamps=stamped)]
-
-
-def _without_repeats(group: Group, losses: list[str]) -> Group:
-    """The group without rows that are the one before once more, as loggers write them twice."""
-    again = np.flatnonzero(repeated(group.t, list(group.columns.values())))
-    if not again.size:
-        return group
-    rows, lines = plural(again.size, "row"), lines_text(group, again)
-    losses.append(message("data.repeated_rows", group=group.title, rows=rows, lines=lines))
-    return group.taken(np.delete(np.arange(group.t.size), again))
-
-
 def _check_time(group: Group, path: Path, window: Window | None) -> None:
     """Refuse a time that stands still or goes back inside of the window."""
     inside = np.flatnonzero(in_window(group.t, window))
@@ -305,7 +277,7 @@ def _check_time(group: Group, path: Path, window: Window | None) -> None:
     try:
         check_time(group.t[inside], file=path, lines=lines)
     except LogError as error:
-        again = repeated(group.t, list(group.columns.values())).any()
+        again = group.repeated.any()
         cure = message("data.leave_repeats_out" if again else "data.give_a_rate")
         hint = f"{error.hint}; {cure}"
         raise LogError(error.message, file=path, line=error.line, hint=hint) from None

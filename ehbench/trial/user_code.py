@@ -78,7 +78,11 @@ class Guard:
             Terminated, KeyboardInterrupt: the user ended the process.
             BaseException: whatever the code raised.
         """
-        leave, os._exit = os._exit, _no_exit
+
+        def no_exit(status: int = 0) -> None:
+            raise Exit(status)
+
+        leave, os._exit = os._exit, no_exit
         self._since = time.monotonic()
         try:
             return function(*given)
@@ -104,10 +108,6 @@ class Guard:
     def _look(self, *_: object) -> None:
         if self._since and time.monotonic() - self._since > self.longest:
             raise Overdue
-
-
-def _no_exit(status: int = 0) -> None:
-    raise Exit(status)
 
 
 def is_users(error: BaseException) -> bool:
