@@ -12,14 +12,13 @@ import numpy as np
 
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
 from ehbench.data.bad_samples import clean
-from ehbench.data.logs.checks import LABEL, TIME_NAMES, check_known, check_time
+from ehbench.data.logs.checks import LABEL, TIME_NAMES, check_known
 from ehbench.data.rates import (
     SETTINGS,
     Group,
     Window,
     apart,
     gaps,
-    in_window,
     is_bad,
     joined,
 )
@@ -77,7 +76,7 @@ def read_mapped(
         _filter(group, columns)
         if check:
             group = clean(group, columns, path, window, losses)
-            _check_time(group, path, window)
+            group.check_time(path, window)
         groups[index] = _in_time(group, columns)
     for group in groups:
         losses += gaps(group, window)
@@ -268,19 +267,6 @@ class _Mapping:
         daytime = table.daytime if began is None else None
         about = {"stamped": stamped, "resolution": step}
         return Group(table.name, t, table.lines, began, daytime, **about)
-
-
-def _check_time(group: Group, path: Path, window: Window | None) -> None:
-    """Refuse a time that stands still or goes back inside of the window."""
-    inside = np.flatnonzero(in_window(group.t, window))
-    lines = None if group.lines is None else [group.lines[int(at)] for at in inside]
-    try:
-        check_time(group.t[inside], file=path, lines=lines)
-    except LogError as error:
-        again = group.repeated.any()
-        cure = message("data.leave_repeats_out" if again else "data.give_a_rate")
-        hint = f"{error.hint}; {cure}"
-        raise LogError(error.message, file=path, line=error.line, hint=hint) from None
 
 
 def _filter(group: Group, columns: ColumnMap) -> None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from ehbench.data.logs.checks import check_time
 from ehbench.data.readers import SourceColumn
 from ehbench.data.record import Window, resampled
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import missing_rows
+from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
@@ -88,6 +91,18 @@ class Group:
         rows, lines = plural(again.size, "row"), lines_text(self, again)
         losses.append(message("data.repeated_rows", group=self.title, rows=rows, lines=lines))
         return self.taken(np.delete(np.arange(self.t.size), again))
+
+    def check_time(self, path: Path, window: Window | None) -> None:
+        """Refuse a time that stands still or goes back inside of the window."""
+        inside = np.flatnonzero(in_window(self.t, window))
+        lines = None if self.lines is None else [self.lines[int(at)] for at in inside]
+        try:
+            check_time(self.t[inside], file=path, lines=lines)
+        except LogError as error:
+            again = self.repeated.any()
+            cure = message("data.leave_repeats_out" if again else "data.give_a_rate")
+            hint = f"{error.hint}; {cure}"
+            raise LogError(error.message, file=path, line=error.line, hint=hint) from None
 
     def wrong_rate(self) -> list[str]:
         """A note where its rows, which a rate counts, last another time than their stamps do, by

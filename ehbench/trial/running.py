@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
@@ -257,7 +256,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             )
             if isinstance(part, Compiled) and part.law.after is not None:
                 known |= part.law.after(part.used, part.controller)
-            known["valves"] = _valve_frequencies(prepared.rig, item.cylinder)
+            known["valves"] = item.design.valve_frequencies
             if part.used.get("gains", {}).get("adapt_maps"):
                 known["maps"] = learnt_maps(item.design, session.machine, record, rows)
             measured = f"{item.cylinder}.v" in record
@@ -297,18 +296,6 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         tuple((at, name or "none") for at, name in payloads_of(record)[1:]),
         {name: float(error) for name, error in recipe.first_pressure_error.items()},
     )
-
-
-def _valve_frequencies(rig: Rig, cylinder: str) -> dict[str, list[float]]:
-    """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
-    valves follow at once."""
-    periods = [
-        max(rig.dynamics[name].period() for name in valve.series)
-        for owner, valve in rig.valves()
-        if owner.name == cylinder and valve.series
-    ]
-    ends = [2.0 * math.pi / end for end in (max(periods), min(periods))] if periods else []
-    return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
 def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[Message]:
