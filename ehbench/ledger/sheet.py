@@ -18,7 +18,7 @@ from ehbench.vocabulary.terms import MECHANICAL, Z95
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
-Part = tuple[str, str, str | None, Sequence[str], Sequence[str]]  # name, where, cylinder, +, −
+Part = tuple[Named, Sequence[str], Sequence[str]]  # what the residual is of: +, −
 # (group, label) of a cylinder's powers, in the order of CylinderPowers
 CYLINDER_ROWS = (
     ("cylinder", "drawn from the supply, Ps·Q"),
@@ -157,9 +157,9 @@ class Sheet:
         owner: cylinder to which each edge belongs.
         powers, stores: how many columns of each there are; behind them, where the payload
             changes, one of what it takes along.
-        rows: (name, group, label, cylinder) of each column.
+        rows: of each column.
+        every: these, the residual's parts, and their sum.
         absent: names of rows that are left out, as of parts which the rig has not.
-        parts: (name, where, cylinder) of each part of the residual.
         combinations: how much of each column is in each part, shape (parts, columns).
     """
 
@@ -167,7 +167,7 @@ class Sheet:
         names = model.layout
         owners = [names.cylinders.index(name.split(".", 1)[0]) for name in names.edges]
         self.owner = np.array(owners, dtype=np.int64)
-        self.cylinders, self.word = names.cylinders, word
+        self.cylinders = names.cylinders
         self.absent = {
             f"{c.name}.{key}"
             for c in model.rig.cylinder
@@ -180,7 +180,7 @@ class Sheet:
         if changes:
             self.rows.append(PAYLOAD)
         parts = _parts(self.rows, names.cylinders, word)
-        self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
+        self.every = [*self.rows, *(row for row, *_ in parts), (word, "residual", word, None)]
         at = {name: i for i, (name, *_) in enumerate(self.rows)}
         self.combinations = np.zeros((len(parts), len(self.rows)))
         for vector, (*_, plus, minus) in zip(self.combinations, parts, strict=True):
@@ -202,16 +202,8 @@ class Sheet:
         **facts: Any,
     ) -> Ledger:
         """The ledger of expanded energies and their standard errors."""
-        named = [
-            *self.rows,
-            *(
-                (name, "part", f"{self.word}, {where}", cylinder)
-                for name, where, cylinder in self.parts
-            ),
-            (self.word, "residual", self.word, None),
-        ]
         rows = []
-        for i, (name, group, label, cylinder) in enumerate(named):
+        for i, (name, group, label, cylinder) in enumerate(self.every):
             if name in self.absent:
                 continue
             energy, interval = float(energies[i]), None
@@ -228,7 +220,7 @@ class Sheet:
     ) -> dict[str, dict[str, dict[str, float]]]:
         """Energies by cylinder, working function and row, of ``table``, which has them cumulated to
         every sample, shape (samples, rows); rows that stay zero are left out."""
-        names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
+        names = [name for name, *_ in self.every]
         results, steps = {}, np.diff(table, axis=0)
         for cylinder in self.cylinders:
             if (function := function_of(record, cylinder)) is not None:
@@ -309,7 +301,8 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
     drawn = [f"{name}.{key}" for name in cylinders for key in ("drawn", "drawn_compression")]
     given = [row for row, group, _, owner in rows if group == "supply" and owner is None]
     retained = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
-    parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *retained))]
+    line = (f"{word}.supply_line", "part", f"{word}, supply line", None)
+    parts: list[Part] = [(line, given, (*drawn, *retained))]
     for name in cylinders:
         taken = [
             row
@@ -321,12 +314,13 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
         shafts = [row for row, group, _, owner in rows if owner == name and group == "supply"]
         supplied = (f"{name}.drawn", f"{name}.drawn_compression", *shafts)
         taken.append(f"{name}.work")
-        parts.append((f"{name}.{word}", "oil of the cylinder", name, supplied, taken))
+        oil = (f"{name}.{word}", "part", f"{word}, oil of the cylinder", name)
+        parts.append((oil, supplied, taken))
     work = [f"{name}.work" for name in cylinders]
     spent = [
         row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in MECHANICAL
     ]
-    parts.append((f"{word}.mechanism", "mechanism", None, work, spent))
+    parts.append(((f"{word}.mechanism", "part", f"{word}, mechanism", None), work, spent))
     return parts
 
 
