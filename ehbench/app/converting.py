@@ -19,12 +19,8 @@ from ehbench.vocabulary.text import unlike
 def convert(
     path: Path, to: str, out: Path | None = None, columns: Path | None = None
 ) -> tuple[Path, Record]:
-    """Write a log as ``parquet`` or ``mat``, in SI; (the file, the log's record).
-
-    Args:
-        path: the log, or the run folder of a trial.
-        out: the file to make; ``<name>.<to>`` here if None.
-        columns: a map of the log's columns.
+    """Write a log, or that of a trial's run folder, as ``parquet`` or ``mat``, in SI; (the file,
+    by default ``<name>.<to>`` here; the log's record).
 
     Raises:
         LogError: the log cannot be read.

@@ -67,12 +67,9 @@ class Inspection:
 
 
 def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> Inspection:
-    """Inspect a rig, recipe or map (TOML), a flowmeter CSV, or a log of any format read.
-
-    Args:
-        path: of the file.
-        verbose: list each gap and each bad sample of a log.
-        dry_run: to go on with: what it has prepared is not prepared again; a new one by default.
+    """Inspect a rig, recipe or map (TOML), a flowmeter CSV, or a log of any format read, of which
+    ``verbose`` lists each gap and each bad sample. What a ``dry_run`` has prepared is not prepared
+    again.
 
     Raises:
         InputError: the file is none of these. Errors in what a recipe requests are collected in

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -142,6 +142,34 @@ class _Bounds:
     start: np.ndarray
     span: float
 
+    @classmethod
+    def of(cls, point: DesignPoint, given: Mapping[str, Any], place: _Place) -> Self:
+        """Bounds of the estimates; a payload's are those of inertia and gravity that it makes.
+
+        ``payload`` [kg] at the end of the last link: 0 to 1.5 times that link's mass by default,
+        or to ``spare`` times the rig file's heaviest payload where that is more; ``disturbance``
+        ± [N]: 3 % of supply pressure on the head end; ``bulk_modulus`` [Pa]: the design's through
+        and times 1.4."""
+        axis, ratio = point.axis, place.ratio
+        beta = axis.cylinder.bulk_modulus
+        last = float(axis.mechanism.links[-1].mass)
+        heaviest = max(ARC_GAINS.link * last, ARC_GAINS.spare * point.payload)
+        low, high = given.get("payload", (0.0, heaviest))
+        usual = ARC_GAINS.disturbance * point.supply_pressure * axis.circuit.area_head
+        worst = given.get("disturbance", usual)
+        usual = (beta / ARC_GAINS.bulk, ARC_GAINS.bulk * beta)
+        softest, hardest = given.get("bulk_modulus", usual)
+        return cls(
+            np.array(
+                [(1.0 - ARC_GAINS.inertia) / (1.0 + high * ratio), low, -worst, beta / hardest]
+            ),
+            np.array(
+                [(1.0 + ARC_GAINS.inertia) / (1.0 + low * ratio), high, worst, beta / softest]
+            ),
+            np.array([1.0, low, 0.0, 1.0]),
+            high - low,
+        )
+
     @property
     def contain_design(self) -> bool:
         """Whether the design model lies within."""
@@ -163,10 +191,9 @@ def pack_arc(
     defaults are derived in ``docs/explanation/arc.md``.
 
     Args:
-        point: what it is designed for.
-        rules: of function selection, `ehbench.control.functions.pack_rules`.
-        given: any of VOCABULARY_OF_GAINS [SI] instead of its default; `VOCABULARY`, `_bounds`,
-            `_total` and `_learning` say what they are.
+        point, rules: what it is designed for, and how functions are chosen.
+        given: any of VOCABULARY_OF_GAINS [SI] instead of its default; `VOCABULARY`,
+            `_Bounds.of`, `_total` and `_Learning.of` say what they are.
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
@@ -174,12 +201,12 @@ def pack_arc(
     """
     _check(given, point.tick)
     places = _places(point.axis)
-    bounds, total = _bounds(point, given, places[0]), _total(point, given, places)
+    bounds, total = _Bounds.of(point, given, places[0]), _total(point, given, places)
     chosen = {
         name: given.get(name, total * part)
         for name, part in zip(GAIN_NAMES[2:5], ARC_GAINS.parts, strict=True)
     }
-    learning = _learning(point, given, bounds, chosen, places)
+    learning = _Learning.of(point, given, bounds, chosen, places)
     chosen |= _defaults(point, places[0].load, chosen, total, learning) | dict(given)
     if "observer_bandwidth" not in given and chosen["stroke_resolution"] > 0.0:
         quietest = ARC_GAINS.count * chosen["speed_correction"] / chosen["stroke_resolution"]
@@ -246,30 +273,6 @@ def _places(axis: Axis) -> list[_Place]:
     return results
 
 
-def _bounds(point: DesignPoint, given: Mapping[str, Any], place: _Place) -> _Bounds:
-    """Bounds of the estimates; a payload's are those of inertia and gravity that it makes.
-
-    ``payload`` [kg] at the end of the last link: 0 to 1.5 times that link's mass by default, or to
-    ``spare`` times the rig file's heaviest payload where that is more; ``disturbance`` ± [N]: 3 %
-    of supply pressure on the head end; ``bulk_modulus`` [Pa]: the design's through and times
-    1.4."""
-    axis, ratio = point.axis, place.ratio
-    beta = axis.cylinder.bulk_modulus
-    last = float(axis.mechanism.links[-1].mass)
-    heaviest = max(ARC_GAINS.link * last, ARC_GAINS.spare * point.payload)
-    low, high = given.get("payload", (0.0, heaviest))
-    usual = ARC_GAINS.disturbance * point.supply_pressure * axis.circuit.area_head
-    worst = given.get("disturbance", usual)
-    usual = (beta / ARC_GAINS.bulk, ARC_GAINS.bulk * beta)
-    softest, hardest = given.get("bulk_modulus", usual)
-    return _Bounds(
-        np.array([(1.0 - ARC_GAINS.inertia) / (1.0 + high * ratio), low, -worst, beta / hardest]),
-        np.array([(1.0 + ARC_GAINS.inertia) / (1.0 + low * ratio), high, worst, beta / softest]),
-        np.array([1.0, low, 0.0, 1.0]),
-        high - low,
-    )
-
-
 def _total(point: DesignPoint, given: Mapping[str, Any], places: Sequence[_Place]) -> float:
     """k1 + k2 + k3 [rad/s] by default; ``lag_budget`` [rad] is the phase that the loop's lag may
     take there.
@@ -298,36 +301,37 @@ class _Learning(NamedTuple):
     answer: float
     unknown: float
 
-
-def _learning(
-    point: DesignPoint,
-    given: Mapping[str, Any],
-    bounds: _Bounds,
-    bandwidths: Mapping[str, float],
-    places: Sequence[_Place],
-) -> _Learning:
-    """``adaptation`` [rad/s], at which the mechanical estimates together follow: k1/5 by default,
-    and less on a load that swings fast; ``adaptation_bulk``, of the bulk modulus: a fiftieth of
-    it."""
-    coupling = given.get("coupling_frequency") or 0.0
-    k1, _, k3 = bandwidths.values()
-    each = [_sensitivity(place, bounds.span, bandwidths, coupling) for place in places]
-    phi, answer, omega = each[0]
-    width = (bounds.upper - bounds.lower)[:3]
-    variance = (width * np.array(ARC_GAINS.shares)) ** 2
-    # where along the stroke an error shows most, so that nowhere they learn faster than stated
-    shown = max(shows * float(at**2 @ variance) for at, shows, _ in each)
-    late = point.valve_lag + point.tick + ARC_GAINS.reserve
-    turned = late * max(place.swing for place in places)
-    gamma = ARC_GAINS.adaptation * k1 * min(1.0, 0.5 * math.pi / turned)
-    gamma = given.get("adaptation", gamma)
-    # 10 m/s³ times the reference mass stands for the force rates that show the bulk modulus
-    slow = given.get("adaptation_bulk", ARC_GAINS.adaptation_bulk * gamma)
-    rate, per = (
-        np.array([*(item * variance / shown), bulk * k3 * (omega / 10.0) ** 2])
-        for item, bulk in ((gamma, slow), (1.0, 1.0))
-    )
-    return _Learning(rate, per, answer, float(np.abs(phi) @ width))
+    @classmethod
+    def of(
+        cls,
+        point: DesignPoint,
+        given: Mapping[str, Any],
+        bounds: _Bounds,
+        bandwidths: Mapping[str, float],
+        places: Sequence[_Place],
+    ) -> Self:
+        """``adaptation`` [rad/s], at which the mechanical estimates together follow: k1/5 by
+        default, and less on a load that swings fast; ``adaptation_bulk``, of the bulk modulus: a
+        fiftieth of it."""
+        coupling = given.get("coupling_frequency") or 0.0
+        k1, _, k3 = bandwidths.values()
+        each = [_sensitivity(place, bounds.span, bandwidths, coupling) for place in places]
+        phi, answer, omega = each[0]
+        width = (bounds.upper - bounds.lower)[:3]
+        variance = (width * np.array(ARC_GAINS.shares)) ** 2
+        # where along the stroke an error shows most, so that nowhere they learn faster than stated
+        shown = max(shows * float(at**2 @ variance) for at, shows, _ in each)
+        late = point.valve_lag + point.tick + ARC_GAINS.reserve
+        turned = late * max(place.swing for place in places)
+        gamma = ARC_GAINS.adaptation * k1 * min(1.0, 0.5 * math.pi / turned)
+        gamma = given.get("adaptation", gamma)
+        # 10 m/s³ times the reference mass stands for the force rates that show the bulk modulus
+        slow = given.get("adaptation_bulk", ARC_GAINS.adaptation_bulk * gamma)
+        rate, per = (
+            np.array([*(item * variance / shown), bulk * k3 * (omega / 10.0) ** 2])
+            for item, bulk in ((gamma, slow), (1.0, 1.0))
+        )
+        return cls(rate, per, answer, float(np.abs(phi) @ width))
 
 
 def _regressors(load: Load, span: float) -> np.ndarray:

@@ -40,10 +40,29 @@ def _step(t, sample, reference, axis, gains, memory, command, telemetry):
 
 
 @kernel
-def _lead(reference, controller):
-    """Add to stroke and speed as given what the reference has moved by while they were on their
+def _watch(monitor, sample, command, axis, telemetry):
+    """One tick of the monitor, if there is one."""
+    if monitor is not None:
+        telemetry[-1] = watch(sample, command, axis, monitor)
+
+
+@kernel
+def tick(t, sample, reference, controller, command, telemetry):
+    """One tick of a built-in controller; what it does not observe is NaN in what it gets.
+
+    To stroke and speed as given is added what the reference has moved by while they were on their
     way, ``x + x_d(t) − x_d(t − T)``: their errors are those of the time of the sample.
+
+    Args:
+        t: time [s].
+        sample: what the machine measured.
+        reference: x_d, v_d, a_d, j_d of the cylinder.
+        controller: a `ehbench.control.law.Controller`.
+        command: out, [V], one per valve; only those of the controller's cylinder are written.
+        telemetry: out, as `Law.channels`, then `valve_fault` with a monitor.
     """
+    for i in range(sample.shape[0]):
+        controller.given[i] = sample[i] if controller.observed[i] else math.nan
     desired, share = controller.late.desired, controller.late.share
     last = desired.shape[0] - 1
     for order in range(2):
@@ -57,30 +76,6 @@ def _lead(reference, controller):
         then = desired[last, order] + share * (newer - desired[last, order])
         place = entry(controller.axis.circuit.cylinder, OF.x if order == 0 else OF.v)
         controller.given[place] += reference[order] - then
-
-
-@kernel
-def _watch(monitor, sample, command, axis, telemetry):
-    """One tick of the monitor, if there is one."""
-    if monitor is not None:
-        telemetry[-1] = watch(sample, command, axis, monitor)
-
-
-@kernel
-def tick(t, sample, reference, controller, command, telemetry):
-    """One tick of a built-in controller; what it does not observe is NaN in what it gets.
-
-    Args:
-        t: time [s].
-        sample: what the machine measured.
-        reference: x_d, v_d, a_d, j_d of the cylinder.
-        controller: a `ehbench.control.law.Controller`.
-        command: out, [V], one per valve; only those of the controller's cylinder are written.
-        telemetry: out, as `Law.channels`, then `valve_fault` with a monitor.
-    """
-    for i in range(sample.shape[0]):
-        controller.given[i] = sample[i] if controller.observed[i] else math.nan
-    _lead(reference, controller)
     step(
         t,
         controller.given,

@@ -12,28 +12,23 @@ import numpy as np
 
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
 from ehbench.data.bad_samples import clean
-from ehbench.data.logs.checks import LABEL, TIME_NAMES, check_known, check_time
+from ehbench.data.logs.checks import LABEL, TIME_NAMES, check_known
 from ehbench.data.rates import (
     SETTINGS,
     Group,
     Window,
     apart,
     gaps,
-    in_window,
     is_bad,
     joined,
-    lines_text,
-    repeated,
 )
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record
 from ehbench.signals.series import lowpass
-from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.text import listed
 
@@ -58,7 +53,7 @@ def read_mapped(
         columns = replace(given, columns=keys)
     mapping = _Mapping(path, columns, source)
     groups = mapping.groups()
-    losses = [note for group in groups for note in _rate_note(group)]
+    losses: list[str] = [note for group in groups for note in group.wrong_rate()]
     for name, mapped in columns.columns.names.items():
         losses += overruled(name, mapped, mapping.column(name), path)
     of_text = source.dialect.separator is not None  # tables below one another
@@ -76,12 +71,12 @@ def read_mapped(
         elif group.daytime is not None and daytime is not None:
             group.t = group.t + (group.daytime - daytime)
     if check and columns.columns.bad_samples == LEAVE_OUT:
-        groups = [_without_repeats(group, losses) for group in groups]
+        groups = [group.without_repeats(losses) for group in groups]
     for index, group in enumerate(groups):
         _filter(group, columns)
         if check:
             group = clean(group, columns, path, window, losses)
-            _check_time(group, path, window)
+            group.check_time(path, window)
         groups[index] = _in_time(group, columns)
     for group in groups:
         losses += gaps(group, window)
@@ -272,43 +267,6 @@ class _Mapping:
         daytime = table.daytime if began is None else None
         about = {"stamped": stamped, "resolution": step}
         return Group(table.name, t, table.lines, began, daytime, **about)
-
-
-def _rate_note(group: Group) -> list[str]:
-    """A note where the rows of a table that a rate counts last another time than their stamps do,
-    by more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
-    """
-    stamps = group.stamped if group.t.size >= TIMESTAMP.fewest else None
-    if stamps is None or not np.isfinite(stamps).all():
-        return []
-    stamped, lasts = float(np.ptp(stamps)), float(np.ptp(group.t))
-    rounded = float(np.percentile(np.abs(np.diff(stamps)), 99))
-    if abs(stamped - lasts) <= 2.0 * rounded + SETTINGS.wrong_rate * lasts:
-        return []
-    return [message("data.wrong_rate", group=group.title, rows=lasts, stamps=stamped)]
-
-
-def _without_repeats(group: Group, losses: list[str]) -> Group:
-    """The group without rows that are the one before once more, as loggers write them twice."""
-    again = np.flatnonzero(repeated(group.t, list(group.columns.values())))
-    if not again.size:
-        return group
-    rows, lines = plural(again.size, "row"), lines_text(group, again)
-    losses.append(message("data.repeated_rows", group=group.title, rows=rows, lines=lines))
-    return group.taken(np.delete(np.arange(group.t.size), again))
-
-
-def _check_time(group: Group, path: Path, window: Window | None) -> None:
-    """Refuse a time that stands still or goes back inside of the window."""
-    inside = np.flatnonzero(in_window(group.t, window))
-    lines = None if group.lines is None else [group.lines[int(at)] for at in inside]
-    try:
-        check_time(group.t[inside], file=path, lines=lines)
-    except LogError as error:
-        again = repeated(group.t, list(group.columns.values())).any()
-        cure = message("data.leave_repeats_out" if again else "data.give_a_rate")
-        hint = f"{error.hint}; {cure}"
-        raise LogError(error.message, file=path, line=error.line, hint=hint) from None
 
 
 def _filter(group: Group, columns: ColumnMap) -> None:

@@ -314,40 +314,37 @@ def _check_columns(names: Mapping[str, int], where: Mapping[str, Any]) -> None:
 
 
 def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
-    """The readings of each table of a foreign file that has all columns of a map; of the first
-    where there is one such table, or none.
+    """The readings of each table of a foreign file that has all columns of a map, of the first
+    where there are less than two. Where no column names the valve, the table or the file does.
     """
-    source = open_source(path, dialect_of(columns))
-    tables = alike(source, list(columns.columns.names))
-    if len(tables) < 2:
-        return [_mapped_table(path, source, Path(path.name.removesuffix(".gz")).stem, columns)]
-    each = [(replace(source, tables=(table,)), table.name) for table in tables]
-    return [_mapped_table(path, *item, columns) for item in each]
-
-
-def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> _Sheet:
-    """The readings of the first table of a source, those of a valve where no column names it."""
-    table, numbers, odd, words, notes = source.tables[0], {}, {}, {}, []
-    lines = table.lines or range(2, table.size + 2)
-    for name, mapped in columns.columns.names.items():
-        what = mapped.channel.rpartition(".")[2]
-        if what in READING_WORDS and name in table.words:
-            words[what] = table.words[name]
-            continue
-        index, place = source.place(name, path)
-        if index:
-            other = source.tables[index].name
-            raise InputError(message("data.other_table", name=name, table=other), file=path)
-        column = table.columns[place]
-        if what in READING_WORDS:
-            words[what] = [f"{value:g}" for value in column.values]
-        elif what != "t":
-            numbers[what], odd[what] = si_of(name, mapped, column, columns, path, lines), column.odd
-            notes += overruled(name, mapped, column, path)
-    words.setdefault("valve", [valve] * table.size)
-    units = {name: VOCABULARY[name].unit for name in numbers}
-    _check_columns(dict.fromkeys([*numbers, *words], 0), columns.at("names"))
-    return _Sheet(path, lines, numbers, odd, words, units, notes)
+    whole, sheets = open_source(path, dialect_of(columns)), []
+    tables = alike(whole, list(columns.columns.names))
+    each = [(replace(whole, tables=(table,)), table.name) for table in tables]
+    stem = Path(path.name.removesuffix(".gz")).stem
+    for source, valve in each if len(each) > 1 else [(whole, stem)]:
+        table, numbers, odd, words, notes = source.tables[0], {}, {}, {}, []
+        lines = table.lines or range(2, table.size + 2)
+        for name, mapped in columns.columns.names.items():
+            what = mapped.channel.rpartition(".")[2]
+            if what in READING_WORDS and name in table.words:
+                words[what] = table.words[name]
+                continue
+            index, place = source.place(name, path)
+            if index:
+                other = source.tables[index].name
+                raise InputError(message("data.other_table", name=name, table=other), file=path)
+            column = table.columns[place]
+            if what in READING_WORDS:
+                words[what] = [f"{value:g}" for value in column.values]
+            elif what != "t":
+                numbers[what] = si_of(name, mapped, column, columns, path, lines)
+                odd[what] = column.odd
+                notes += overruled(name, mapped, column, path)
+        words.setdefault("valve", [valve] * table.size)
+        units = {name: VOCABULARY[name].unit for name in numbers}
+        _check_columns(dict.fromkeys([*numbers, *words], 0), columns.at("names"))
+        sheets.append(_Sheet(path, lines, numbers, odd, words, units, notes))
+    return sheets
 
 
 def alike(source: Source, names: Sequence[str] | None = None) -> list[SourceTable]:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from ehbench.data.logs.checks import check_time
 from ehbench.data.readers import SourceColumn
 from ehbench.data.record import Window, resampled
+from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import missing_rows
+from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
@@ -73,6 +77,45 @@ class Group:
     def title(self) -> str:
         """The table by its name, else its first channels."""
         return f"table '{self.name}'" if self.name else listed(self.channels)
+
+    @property
+    def repeated(self) -> np.ndarray:
+        """As `repeated`, of its rows."""
+        return repeated(self.t, list(self.columns.values()))
+
+    def without_repeats(self, losses: list[str]) -> Group:
+        """The same without rows that are the one before once more, as loggers write them twice."""
+        again = np.flatnonzero(self.repeated)
+        if not again.size:
+            return self
+        rows, lines = plural(again.size, "row"), lines_text(self, again)
+        losses.append(message("data.repeated_rows", group=self.title, rows=rows, lines=lines))
+        return self.taken(np.delete(np.arange(self.t.size), again))
+
+    def check_time(self, path: Path, window: Window | None) -> None:
+        """Refuse a time that stands still or goes back inside of the window."""
+        inside = np.flatnonzero(in_window(self.t, window))
+        lines = None if self.lines is None else [self.lines[int(at)] for at in inside]
+        try:
+            check_time(self.t[inside], file=path, lines=lines)
+        except LogError as error:
+            again = self.repeated.any()
+            cure = message("data.leave_repeats_out" if again else "data.give_a_rate")
+            hint = f"{error.hint}; {cure}"
+            raise LogError(error.message, file=path, line=error.line, hint=hint) from None
+
+    def wrong_rate(self) -> list[str]:
+        """A note where its rows, which a rate counts, last another time than their stamps do, by
+        more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
+        """
+        stamps = self.stamped if self.t.size >= TIMESTAMP.fewest else None
+        if stamps is None or not np.isfinite(stamps).all():
+            return []
+        stamped, lasts = float(np.ptp(stamps)), float(np.ptp(self.t))
+        rounded = float(np.percentile(np.abs(np.diff(stamps)), 99))
+        if abs(stamped - lasts) <= 2.0 * rounded + SETTINGS.wrong_rate * lasts:
+            return []
+        return [message("data.wrong_rate", group=self.title, rows=lasts, stamps=stamped)]
 
     def line(self, row: int) -> int | None:
         """The line of a row in a text file, None in any other."""

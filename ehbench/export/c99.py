@@ -225,15 +225,15 @@ class Function:
             elif line:
                 block.append(re.sub(r" #\d+$", "", line))
         self.labels = {label: f"b{i}" for i, label in enumerate(self.blocks)}
-        self.phis = {label: list(self._phis(items)) for label, items in self.blocks.items()}
-
-    def _phis(self, lines: list[str]) -> Iterator[tuple[str, str, dict[str, str]]]:
-        """(variable, type, value by the block it comes from) of each phi of a block."""
-        for line in lines:
-            if match := re.match(rf"%({_NAME}) = phi (\w+) (\[.*)$", line):
-                pairs = [split(item[1:-1]) for item in split(match[3])]
-                values = {place.strip('%"'): value for value, place in pairs}
-                yield self.locals.of(match[1]), match[2], values
+        # (variable, type, value by the block it comes from) of each phi, by its block
+        self.phis: dict[str, list[tuple[str, str, dict[str, str]]]] = {}
+        for label, items in self.blocks.items():
+            phis = self.phis[label] = []
+            for match in (re.match(rf"%({_NAME}) = phi (\w+) (\[.*)$", line) for line in items):
+                if match:
+                    pairs = [split(item[1:-1]) for item in split(match[3])]
+                    values = {place.strip('%"'): value for value, place in pairs}
+                    phis.append((self.locals.of(match[1]), match[2], values))
 
     def source(self) -> str:
         """Its C text."""

@@ -1,7 +1,7 @@
 """What a motion must cost on a constant-pressure supply, and what it did cost."""
 
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 
@@ -119,11 +119,8 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six
     ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+ + A2 L−)``.
 
-    Args:
-        rig: gives areas, pins and set pressure.
-        record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
-        cylinder: its name.
-        ledger: of the same record, for the energy drawn.
+    The record has ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder, the ledger of the
+    same record the energy drawn.
 
     Raises:
         InputError: no such cylinder.
@@ -133,7 +130,11 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     item = rig.cylinder_named(cylinder)
     if not rig.supply.constant:
         raise InsufficientData(message("ledger.no_one_pressure", supply=rig.supply.kind))
-    x = _stroke(item, record)
+    if f"{cylinder}.x" in record:
+        x = record[f"{cylinder}.x"]
+    else:
+        pins = pins_of(item)
+        x = np.array([linkage(*pins, angle)[0] for angle in record[f"{cylinder}.q"]])
     ways = travels(x, SETTINGS.travel * float(item.stroke))
     if ways == (0.0, 0.0):
         raise InsufficientData(message("ledger.did_not_move", cylinder=cylinder))
@@ -142,28 +143,24 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     supply = float(rig.supply.pressure)
     if "p_supply" in record:  # a pump's compensator gives way under flow
         supply = float(np.average(record["p_supply"][1:], weights=np.abs(np.diff(x))))
-    load = _Load.of(record.t, x, force, supply, (head, rod))
-    prices, pressure = load.prices(), load.pressure
-    paid = {name: pressure * (a * ways[0] + b * ways[1]) for name, (a, b) in prices.items()}
+    carries, work, prices = _load(record.t, x, force, supply, (head, rod))
+    paid = {name: supply * (a * ways[0] + b * ways[1]) for name, (a, b) in prices.items()}
     used = None if ledger is None else ledger[f"{cylinder}.drawn"].energy
-    retained = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
-    against, beyond, back = "", (), abs(ways[0] - ways[1]) <= SETTINGS.closed * max(ways)
-    if ledger is not None and (function := function_of(record, cylinder)) is not None:
-        against = _against(function, "seventh" in paid)
-        price = (pressure * prices[against][0], pressure * prices[against][1])
-        drawn = ledger.functions[cylinder]
-        beyond = _beyond(rig, record, item, x, function, price, ways, drawn)
+    retained = supply * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
+    back, against, beyond = abs(ways[0] - ways[1]) <= SETTINGS.closed * max(ways), "", ()
+    if ledger is not None:
+        against, beyond = _beyond(rig, record, item, x, prices, supply, ways, ledger)
     return Bounds(
         cylinder=cylinder,
         travel_out=ways[0],
         travel_in=ways[1],
         closed=back and abs(retained) <= SETTINGS.oil * paid["standard"],
         retained=retained,
-        carries=load.carries,
+        carries=carries,
         standard=paid["standard"],
         six=paid["six"],
         seventh=paid.get("seventh"),
-        work=load.work,
+        work=work,
         used=used,
         saving=None if used is None else 1.0 - used / paid["standard"],
         against=against,
@@ -171,63 +168,27 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     )
 
 
-def _stroke(item: Cylinder, record: Record) -> np.ndarray:
-    """Stroke [m] of a cylinder over a record, from its joint where it has no channel of its own."""
-    if f"{item.name}.x" in record:
-        return record[f"{item.name}.x"]
-    pins = pins_of(item)
-    return np.array([linkage(*pins, angle)[0] for angle in record[f"{item.name}.q"]])
-
-
-def _against(function: np.ndarray, seventh: bool) -> str:
-    """The least bound that the working functions at work can reach."""
-    at_work = {FUNCTIONS[f] for f in np.unique(function)}
-    if seventh and FUNCTIONS[EXTEND_RESISTIVE_REGENERATION] in at_work:
-        return "seventh"
-    regains = any(name.endswith("overrunning_regeneration") for name in at_work)
-    return "six" if regains else "standard"
-
-
-class _Load(NamedTuple):
-    """What a motion worked against: supply ``pressure`` [Pa], ``areas`` [m²], the chamber that
-    carries the load, the ``work`` of lifting it [J], whether the supply carries it on the area
-    difference."""
-
-    pressure: float
-    areas: tuple[float, float]
-    carries: str
-    work: float
-    regenerates: bool
-
-    @classmethod
-    def of(
-        cls,
-        t: np.ndarray,
-        x: np.ndarray,
-        force: np.ndarray,
-        pressure: float,
-        areas: tuple[float, float],
-    ) -> Self:
-        """The load of a motion x [m] under a force of the pressures [N]."""
-        head, rod = areas
-        steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])
-        mean = float(np.trapezoid(force, t) / (t[-1] - t[0]))
-        work = float((middle * steps)[middle * steps > 0.0].sum())
-        lifting = force[:-1][steps > 0.0]
-        carries = "none"
-        if abs(mean) > SETTINGS.loaded * pressure * head:
-            carries = "head" if mean > 0.0 else "rod"
-        light = lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
-        return cls(pressure, areas, carries, work, head > rod and light)
-
-    def prices(self) -> dict[str, tuple[float, float]]:
-        """Oil for a metre (out, in) [m²] by each bound."""
-        head, rod = self.areas
-        six = {"head": (head, 0.0), "rod": (head - rod, rod), "none": (head, rod)}
-        prices = {"standard": (head, rod), "six": six[self.carries]}
-        if self.regenerates and self.carries != "rod":
-            prices["seventh"] = (head - rod, 0.0 if self.carries == "head" else rod)
-        return prices
+def _load(
+    t: np.ndarray, x: np.ndarray, force: np.ndarray, supply: float, areas: tuple[float, float]
+) -> tuple[str, float, dict[str, tuple[float, float]]]:
+    """What a motion x [m] under a force of the pressures [N] worked against: (the chamber that
+    carries the load, or none; the work of lifting it [J]; oil for a metre (out, in) [m²] by each
+    bound, the seventh where the supply [Pa] carries the load on the area difference).
+    """
+    head, rod = areas
+    steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])
+    mean = float(np.trapezoid(force, t) / (t[-1] - t[0]))
+    work = float((middle * steps)[middle * steps > 0.0].sum())
+    lifting = force[:-1][steps > 0.0]
+    carries = "none"
+    if abs(mean) > SETTINGS.loaded * supply * head:
+        carries = "head" if mean > 0.0 else "rod"
+    six = {"head": (head, 0.0), "rod": (head - rod, rod), "none": (head, rod)}
+    prices = {"standard": (head, rod), "six": six[carries]}
+    light = lifting.size > 0 and float(np.median(lifting)) < supply * (head - rod)
+    if head > rod and light and carries != "rod":
+        prices["seventh"] = (head - rod, 0.0 if carries == "head" else rod)
+    return carries, work, prices
 
 
 def _beyond(
@@ -235,13 +196,22 @@ def _beyond(
     record: Record,
     item: Cylinder,
     x: np.ndarray,
-    function: np.ndarray,
-    price: tuple[float, float],
+    prices: dict[str, tuple[float, float]],
+    supply: float,
     ways: tuple[float, float],
-    drawn: dict[str, dict[str, float]],
-) -> tuple[Beyond, ...]:
-    """What each function drew against its share of ``ways`` [m] at ``price`` [J/m]."""
-    squeezed = _squeezed(rig, record, item, x)
+    ledger: Ledger,
+) -> tuple[str, tuple[Beyond, ...]]:
+    """(the least bound that the working functions at work can reach, what each of them drew against
+    its share of ``ways`` [m] by that bound); nothing where none is logged.
+    """
+    if (function := function_of(record, item.name)) is None:
+        return "", ()
+    at_work = {FUNCTIONS[f] for f in np.unique(function)}
+    regains = any(name.endswith("overrunning_regeneration") for name in at_work)
+    lifts = FUNCTIONS[EXTEND_RESISTIVE_REGENERATION] in at_work and "seventh" in prices
+    against = "seventh" if lifts else "six" if regains else "standard"
+    price = [supply * area for area in prices[against]]
+    squeezed, drawn = _squeezed(rig, record, item, x), ledger.functions[item.name]
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
     shares = []
@@ -256,7 +226,7 @@ def _beyond(
         results.append(
             Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
         )
-    return tuple(results)
+    return against, tuple(results)
 
 
 def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.ndarray:

@@ -1,8 +1,10 @@
 """The ledger of a machine's log, from measured channels alone, and how far it can be trusted."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,18 +23,6 @@ from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
 from ehbench.vocabulary.fields import scalars
 from ehbench.vocabulary.messages import message
-
-
-class Measured(NamedTuple):
-    """What a log gave: model, payload, readings; states, flows, powers; energies [J] of rows."""
-
-    model: Model
-    payload: str | None
-    readings: Readings
-    states: np.ndarray
-    flows: np.ndarray
-    power: np.ndarray
-    energies: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -56,14 +46,24 @@ class Accuracy:
     draws: int = 12
 
 
-class Account:
-    """Energies of readings on a model, evaluated again for every source of doubt."""
+@dataclass(frozen=True)
+class Measured:
+    """Readings on a model and what follows from them, evaluated again for every source of doubt:
+    edge flows [m³/s], shape (samples, edges + 1), last the pump's measured flow, or 0; powers [W],
+    shape (samples, columns)."""
 
-    def __init__(self, sheet: Sheet, loads: Loads, accuracy: Accuracy) -> None:
-        self.sheet, self.loads, self.accuracy = sheet, loads, accuracy
+    sheet: Sheet
+    loads: Loads
+    accuracy: Accuracy
+    model: Model
+    readings: Readings
+    states: np.ndarray
+    flows: np.ndarray
+    power: np.ndarray
 
-    def states(self, model: Model, m: Readings) -> np.ndarray:
-        """States, shape (samples, states), with the openings that follow from the commands."""
+    @staticmethod
+    def of(sheet: Sheet, loads: Loads, accuracy: Accuracy, model: Model, m: Readings) -> Measured:
+        """With the openings that follow from the commands."""
         names, n = model.layout, model.plant.at.rates
         states = np.zeros((m.t.size, names.states))
         states[:, : 2 * n + m.p.shape[1]] = np.concatenate([m.q, m.qd, m.p], axis=1)
@@ -72,26 +72,40 @@ class Account:
         states[:, model.plant.at.supply] = m.p_supply
         if model.layout.lines or model.layout.mounts or model.layout.sways:
             follow_parts(m.t, m.commands, model.plant, states)
-        return states
-
-    def flows(self, model: Model, m: Readings, states: np.ndarray) -> np.ndarray:
-        """Edge flows [m³/s], shape (samples, edges + 1); last the pump's measured flow, or 0."""
-        plant = model.plant.at_pressures()
-        flows = np.empty((m.t.size, len(model.layout.edges) + 1))
-        flows_at(states, m.commands, m.p_tank, plant, flows)
+        flows = np.empty((m.t.size, len(names.edges) + 1))
+        flows_at(states, m.commands, m.p_tank, model.plant.at_pressures(), flows)
         flows[:, -1] = 0.0 if m.flow_supply is None else m.flow_supply
-        return self.balanced(model, m, flows)
+        power = np.empty((m.t.size, sheet.powers))
+        bare = Measured(sheet, loads, accuracy, model, m, states, flows, power)
+        return bare.flowing(bare.balanced() if accuracy.flow else flows)
 
-    def balanced(self, model: Model, m: Readings, flows: np.ndarray) -> np.ndarray:
+    def doubted(self, model: Model, readings: Readings) -> np.ndarray:
+        """Energies [J] of all rows as another model or other readings give them, shape (rows,)."""
+        return Measured.of(self.sheet, self.loads, self.accuracy, model, readings).energies()
+
+    def flowing(self, flows: np.ndarray) -> Measured:
+        """With other flows."""
+        plant, power = self.model.plant.at_pressures(), np.empty_like(self.power)
+        m = self.readings
+        powers_at(self.states, m.commands, flows, m.p_tank, plant, self.sheet.owner, power)
+        return replace(self, flows=flows, power=power)
+
+    def thinned(self, rows: np.ndarray) -> Measured:
+        """At some of the samples."""
+        given = {n: value[rows] for n, value in vars(self.readings).items() if value is not None}
+        given = {"readings": replace(self.readings, **given)}
+        given |= {name: getattr(self, name)[rows] for name in ("states", "flows", "power")}
+        return replace(self, **given)
+
+    def balanced(self) -> np.ndarray:
         """The flows with a factor for each edge of a chamber by which its oil comes out even: what
         came in is what the piston's way, compression and leakages took.
 
         Readings of a map go up, a motion goes to and fro, and hysteresis makes 2 % of that, a small
         opening more; ``position`` is an error of the way that the piston went. Factors are 1 ±
         ``flow`` before, cylinders with lines as they are."""
-        if self.accuracy.flow == 0.0:
-            return flows
-        plant, result, dt = model.plant, flows.copy(), np.diff(m.t)[:, None]
+        m, plant, flows = self.readings, self.model.plant, self.flows
+        result, dt = flows.copy(), np.diff(m.t)[:, None]
         for c, row in enumerate(plant.cylinders):
             nodes: list[int] = [int(row.node_head), int(row.node_rod)]
             ways = np.array([plant.edges.to_node == i for i in nodes], float)
@@ -118,27 +132,14 @@ class Account:
             result[:, among] *= 1.0 + np.linalg.lstsq(np.vstack([shares, certain]), target)[0]
         return result
 
-    def power(self, model: Model, m: Readings, states: np.ndarray, flows: np.ndarray) -> np.ndarray:
-        """Powers [W] of the columns, shape (samples, columns)."""
-        plant = model.plant.at_pressures()
-        power = np.empty((m.t.size, self.sheet.powers))
-        powers_at(states, m.commands, flows, m.p_tank, plant, self.sheet.owner, power)
-        return power
-
-    def energies(
-        self,
-        model: Model,
-        m: Readings,
-        states: np.ndarray,
-        power: np.ndarray,
-        at: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def energies(self, at: np.ndarray | None = None) -> np.ndarray:
         """Energies [J] of all rows at the end, shape (rows,); or, cumulated, at the samples ``at``,
         shape (at, rows)."""
-        plant, sheet = model.plant, self.sheet
+        model, m, states, sheet = self.model, self.readings, self.states, self.sheet
+        plant = model.plant
         at = np.array([m.t.size - 1]) if at is None else at
         dt = np.diff(m.t)
-        spent = _cumulated(0.5 * dt, power, at)
+        spent = _cumulated(0.5 * dt, self.power, at)
         changes = [int(np.searchsorted(m.t, when - 1e-9)) for when, _ in self.loads.changes]
         retained = np.unique([0, *changes, *at])
         stored = self.loads.stored(model, m.t[retained], states[retained], self.sheet.stores)
@@ -165,13 +166,6 @@ class Account:
             spent[:, COMPRESSION] = compression - railed[:, 1] + fixed[:, SUPPLY_LINE] - pressed
         rows = sheet.expand(np.concatenate([spent, fixed], axis=1))
         return rows[0] if at.size == 1 else rows
-
-    def __call__(self, model: Model, m: Readings) -> np.ndarray:
-        """Energies [J] of all rows at the end, shape (rows,)."""
-        states = self.states(model, m)
-        return self.energies(
-            model, m, states, self.power(model, m, states, self.flows(model, m, states))
-        )
 
 
 def _pressed(supply: np.record, pressure: np.ndarray) -> np.ndarray:
@@ -234,38 +228,33 @@ def ledger_of_log(
     loads = Loads.of(record, load)
     shown = payload_of(record) if loads.changes else payload
     sheet = Sheet(model, "unexplained", bool(loads.changes))
-    account = Account(sheet, loads, accuracy or Accuracy())
-    states = account.states(model, readings)
-    flows = account.flows(model, readings, states)
-    power = account.power(model, readings, states, flows)
-    base = account.energies(model, readings, states, power)
-    result = Measured(model, load, readings, states, flows, power, base)
+    measured = Measured.of(sheet, loads, accuracy or Accuracy(), model, readings)
+    base = measured.energies()
     std, sources = np.zeros_like(base), {}
     if accuracy is not None:
-        effects, more = _effects(rig, maps, account, result)
+        effects, more = _effects(rig, maps, load, measured, base)
         notes += more
         std = np.sqrt(sum(effect**2 for effect in effects.values()))
         sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
         sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
-    table = account.energies(model, readings, states, power, every)
+    table = measured.energies(every)
     facts = {"functions": sheet.functions(record, table), "sources": sources, "notes": tuple(notes)}
-    facts["oil_drawn"] = oil_drawn(model, readings.t, flows)
+    facts["oil_drawn"] = oil_drawn(model, readings.t, measured.flows)
     return sheet.ledger(model, record, shown, base, std, **facts)
 
 
 def _effects(
-    rig: Rig, maps: Maps | None, account: Account, result: Measured
+    rig: Rig, maps: Maps | None, payload: str | None, measured: Measured, base: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """(effect of one standard error of each source on the energies [J], assumptions)."""
-    model, readings, states = result.model, result.readings, result.states
-    flows, power, base, accuracy = result.flows, result.power, result.energies, account.accuracy
+    model, readings, accuracy = measured.model, measured.readings, measured.accuracy
     effects: dict[str, np.ndarray] = {}
     lags: dict[str, np.ndarray] = {}
 
     def effect(name: str, value: float) -> np.ndarray:
-        doubted = Model.of(rig.with_values({name: value}), maps, result.payload)
-        return account(doubted, readings) - base
+        model = Model.of(rig.with_values({name: value}), maps, payload)
+        return measured.doubted(model, readings) - base
 
     parameters = rig.parameters()
     for name, value in parameters.items():
@@ -277,27 +266,24 @@ def _effects(
             lags[f"lag of {name}"] = effect(omega, float(parameters[omega]) / (1.0 + accuracy.lag))
     notes: list[str] = []
     for e, name in enumerate(model.layout.edges):
-        std, texts = _flow_std(maps, e, result, accuracy)
+        std, texts = _flow_std(maps, e, measured)
         notes += texts
-        row, shut = model.plant.edges[e], flows[:, e] == 0.0
+        row, shut = model.plant.edges[e], measured.flows[:, e] == 0.0
         way = float(row.from_node == SUPPLY) - float(row.to_node == SUPPLY)
         leak = way * accuracy.leakage * model.plant.supply.flow_limit * shut
         for source, more in (("flow", std), ("leakage while shut", leak)):
             if more.any():
-                doubtful = flows.copy()
-                doubtful[:, e] += more
-                moved = account.power(model, readings, states, doubtful)
-                moved = account.energies(model, readings, states, moved)
-                effects[f"{source} of {name}"] = moved - base
+                flows = measured.flows.copy()
+                flows[:, e] += more
+                effects[f"{source} of {name}"] = measured.flowing(flows).energies() - base
     effects |= lags
     for name, moved in _doubts(model, readings, accuracy):
-        effects[name] = account(model, moved) - base
+        effects[name] = measured.doubted(model, moved) - base
     if readings.t.size > 4:
         retained = np.unique(np.append(np.arange(0, readings.t.size, 2), readings.t.size - 1))
-        coarse = account.energies(model, _at(readings, retained), states[retained], power[retained])
-        effects["sampling"] = (coarse - base) / 3.0
-    scatter = _noise(account, model, readings, accuracy.draws) - base
-    for row, bias, energy in zip(account.sheet.rows, scatter.mean(axis=0), base):
+        effects["sampling"] = (measured.thinned(retained).energies() - base) / 3.0
+    scatter = _noise(measured) - base
+    for row, bias, energy in zip(measured.sheet.rows, scatter.mean(axis=0), base):
         if row[0].endswith(".damping") and abs(bias) > accuracy.flow * abs(energy) > 0.0:
             notes.append(message("ledger.noisy_speed", row=row[0], share=abs(bias / energy)))
     effects["noise of the sensors"] = np.sqrt(
@@ -306,16 +292,10 @@ def _effects(
     return effects, notes
 
 
-def _at(m: Readings, rows: np.ndarray) -> Readings:
-    given = {name: value[rows] for name, value in vars(m).items() if value is not None}
-    return replace(m, **given)
-
-
-def _flow_std(
-    maps: Maps | None, e: int, result: Measured, accuracy: Accuracy
-) -> tuple[np.ndarray, list[str]]:
+def _flow_std(maps: Maps | None, e: int, measured: Measured) -> tuple[np.ndarray, list[str]]:
     """(standard error [m³/s] of an edge's flow at each sample, along it; assumptions)."""
-    model, m, states, flow = result.model, result.readings, result.states, result.flows[:, e]
+    model, m, accuracy = measured.model, measured.readings, measured.accuracy
+    states, flow = measured.states, measured.flows[:, e]
     plant, name = model.plant, model.layout.edges[e]
     edge = model.rig.all_edges()[name]
     if not flow.any():
@@ -367,9 +347,9 @@ def _doubts(model: Model, m: Readings, accuracy: Accuracy) -> Iterator[tuple[str
         yield "alignment of the commands", replace(m, commands=late)
 
 
-def _noise(account: Account, model: Model, m: Readings, draws: int) -> np.ndarray:
+def _noise(measured: Measured) -> np.ndarray:
     """Energies with the readings' noise added once more, (draws, rows); the same draws always."""
-    rng = np.random.default_rng(0)
+    m, rng = measured.readings, np.random.default_rng(0)
     names = ("q", "qd", "x", "p", "p_supply", "p_tank")
     sizes = {name: np.apply_along_axis(noise_of, 0, getattr(m, name)) for name in names}
 
@@ -378,4 +358,5 @@ def _noise(account: Account, model: Model, m: Readings, draws: int) -> np.ndarra
         scattered = {n: v + sizes[n] * rng.standard_normal(v.shape) for n, v in values.items()}
         return replace(m, **scattered)
 
-    return np.stack([account(model, drawn()) for _ in range(max(draws, 2))])
+    draws = range(max(measured.accuracy.draws, 2))
+    return np.stack([measured.doubted(measured.model, drawn()) for _ in draws])

@@ -121,8 +121,11 @@ def powers(y, command, flows, plant, owner, out):
         out[first + j] = plant.links[j].damping * rate * rate
     shaft = first + at.joints
     for e in range(edges):
-        if plant.edges[e].law == PUMP_LAW:
-            _pump(e, y, flows[e], plant, shaft, out)
+        edge = plant.edges[e]
+        if edge.law == PUMP_LAW:  # its slip, and its shaft, D ω (p_b − p_a)
+            drop = node_pressure(y, plant, edge.from_node) - node_pressure(y, plant, edge.to_node)
+            out[FIRST_EDGE + e] = slip_loss(drop, edge)
+            out[shaft] = out[FIRST_EDGE + e] - drop * flows[e]
             shaft += 1
     for i in range(plant.lines.shape[0]):
         _line(i, y, flows, plant, shaft + i, out)
@@ -140,15 +143,6 @@ def powers(y, command, flows, plant, owner, out):
             _, lever, _ = linkage_of(row, y[row.joint])
             out[mount] = sway_loss(row, lever * y[at.rates + row.joint], y)
             mount += 1
-
-
-@kernel
-def _pump(e, y, flow, plant, shaft, out):
-    """Write a pump edge's power, its slip, and that of its shaft, ``D ω (p_b − p_a)``."""
-    edge = plant.edges[e]
-    drop = node_pressure(y, plant, edge.from_node) - node_pressure(y, plant, edge.to_node)
-    out[FIRST_EDGE + e] = slip_loss(drop, edge)
-    out[shaft] = out[FIRST_EDGE + e] - drop * flow
 
 
 @kernel

@@ -14,11 +14,11 @@ from ehbench.plant.model import Model
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError, LogError
 from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.terms import MECHANICAL, Z95
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
-Part = tuple[str, str, str | None, Sequence[str], Sequence[str]]  # name, where, cylinder, +, −
+Part = tuple[Named, Sequence[str], Sequence[str]]  # what the residual is of: +, −
 # (group, label) of a cylinder's powers, in the order of CylinderPowers
 CYLINDER_ROWS = (
     ("cylinder", "drawn from the supply, Ps·Q"),
@@ -46,11 +46,6 @@ RAIL: list[Named] = [
 PAYLOAD: Named = ("payload", "load", "gone with the payload", None)
 # rows of a cylinder that stand in a ledger only where the rig file has the table
 OPTIONAL = {"force": ("external_force", "load_spring")}
-# rows that the piston's work pays
-MECHANICAL = (
-    *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
-    *("mount", "mount_spring", "sway", "swaying"),
-)
 
 
 @dataclass(frozen=True)
@@ -162,9 +157,9 @@ class Sheet:
         owner: cylinder to which each edge belongs.
         powers, stores: how many columns of each there are; behind them, where the payload
             changes, one of what it takes along.
-        rows: (name, group, label, cylinder) of each column.
+        rows: of each column.
+        every: these, the residual's parts, and their sum.
         absent: names of rows that are left out, as of parts which the rig has not.
-        parts: (name, where, cylinder) of each part of the residual.
         combinations: how much of each column is in each part, shape (parts, columns).
     """
 
@@ -172,7 +167,7 @@ class Sheet:
         names = model.layout
         owners = [names.cylinders.index(name.split(".", 1)[0]) for name in names.edges]
         self.owner = np.array(owners, dtype=np.int64)
-        self.cylinders, self.word = names.cylinders, word
+        self.cylinders = names.cylinders
         self.absent = {
             f"{c.name}.{key}"
             for c in model.rig.cylinder
@@ -180,12 +175,12 @@ class Sheet:
             for key in keys
             if not getattr(c, table)
         }
-        powers, stores = _power_rows(model), _store_rows(model)
+        powers, stores = _rows(model)
         self.powers, self.stores, self.rows = len(powers), len(stores), powers + stores
         if changes:
             self.rows.append(PAYLOAD)
         parts = _parts(self.rows, names.cylinders, word)
-        self.parts = [(name, where, cylinder) for name, where, cylinder, *_ in parts]
+        self.every = [*self.rows, *(row for row, *_ in parts), (word, "residual", word, None)]
         at = {name: i for i, (name, *_) in enumerate(self.rows)}
         self.combinations = np.zeros((len(parts), len(self.rows)))
         for vector, (*_, plus, minus) in zip(self.combinations, parts, strict=True):
@@ -207,16 +202,8 @@ class Sheet:
         **facts: Any,
     ) -> Ledger:
         """The ledger of expanded energies and their standard errors."""
-        named = [
-            *self.rows,
-            *(
-                (name, "part", f"{self.word}, {where}", cylinder)
-                for name, where, cylinder in self.parts
-            ),
-            (self.word, "residual", self.word, None),
-        ]
         rows = []
-        for i, (name, group, label, cylinder) in enumerate(named):
+        for i, (name, group, label, cylinder) in enumerate(self.every):
             if name in self.absent:
                 continue
             energy, interval = float(energies[i]), None
@@ -233,7 +220,7 @@ class Sheet:
     ) -> dict[str, dict[str, dict[str, float]]]:
         """Energies by cylinder, working function and row, of ``table``, which has them cumulated to
         every sample, shape (samples, rows); rows that stay zero are left out."""
-        names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
+        names = [name for name, *_ in self.every]
         results, steps = {}, np.diff(table, axis=0)
         for cylinder in self.cylinders:
             if (function := function_of(record, cylinder)) is not None:
@@ -245,9 +232,10 @@ class Sheet:
         return results
 
 
-def _power_rows(model: Model) -> list[Named]:
+def _rows(model: Model) -> tuple[list[Named], list[Named]]:
+    """(rows of the powers, rows of what is stored), in the order of `ehbench.ledger.powers`."""
     names, joints = model.layout, model.plant.cylinders.joint
-    rows: list[Named] = [
+    powers: list[Named] = [
         ("pump", "supply", "pump, Ps·Q", None),
         ("pump_compression", "supply", "pump, compression of the oil", None),
     ]
@@ -261,47 +249,43 @@ def _power_rows(model: Model) -> list[Named]:
         cylinder, edge_name = name.split(".", 1)
         shown = spools.get(name, edge_name)
         if edge.law == "pump":
-            rows.append((f"{name}.slip", "loss", f"{shown}, slip", cylinder))
+            powers.append((f"{name}.slip", "loss", f"{shown}, slip", cylinder))
             shafts.append((f"{name}.shaft", "supply", f"{edge_name}, shaft of the pump", cylinder))
         else:
             label = f"{shown}, {edge.from_} → {edge.to}"
-            rows.append((f"{name}.throttling", "valve", label, cylinder))
+            powers.append((f"{name}.throttling", "valve", label, cylinder))
     for name in names.cylinders:
         pairs = zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
-        rows += [(f"{name}.{key}", *labels, name) for key, labels in pairs]
+        powers += [(f"{name}.{key}", *labels, name) for key, labels in pairs]
     driven = {int(j): names.cylinders[i] for i, j in enumerate(joints)}
     label = "slide damping" if model.rig.mechanism.kind == "slide" else "joint damping"
     for j, name in enumerate(names.joints):
-        rows.append((f"{name}.damping", "loss", label, driven.get(j)))
-    rows += shafts
+        powers.append((f"{name}.damping", "loss", label, driven.get(j)))
+    powers += shafts
     for c, end in names.lines:
         name = names.cylinders[c]
-        rows.append((f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name))
-    rows += _of_each(model, names.mounts, "mount", "loss", "mount")
-    rows += _of_each(model, names.sways, "sway", "loss", "damper of what sways")
-    return rows + (RAIL if model.rig.supply.low_rail is not None else [])
-
-
-def _store_rows(model: Model) -> list[Named]:
-    names = model.layout
-    rows: list[Named] = [
+        powers.append((f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name))
+    powers += _of_each(model, names.mounts, "mount", "loss", "mount")
+    powers += _of_each(model, names.sways, "sway", "loss", "damper of what sways")
+    powers += RAIL if model.rig.supply.low_rail is not None else []
+    stores: list[Named] = [
         ("supply_line", "store", "oil of the supply line", None),
         ("kinetic", "load", "kinetic energy", None),
         ("potential", "load", "potential energy", None),
     ]
     for name in names.cylinders:
         pairs = zip(CylinderStores._fields, STORE_LABELS, strict=True)
-        rows += [(f"{name}.{key}", "store", label, name) for key, label in pairs]
+        stores += [(f"{name}.{key}", "store", label, name) for key, label in pairs]
     springy = dict.fromkeys(c for c, _ in names.friction_states)
-    rows += _of_each(model, springy, "friction_spring", "store", "spring of the friction")
+    stores += _of_each(model, springy, "friction_spring", "store", "spring of the friction")
     for c, end in names.lines:
         name = names.cylinders[c]
-        rows.append((f"{name}.line_{end}", "store", f"oil of the {end} end's line", name))
-    rows += _of_each(model, names.mounts, "mount_spring", "store", "spring of the mount")
-    rows += _of_each(model, names.sways, "swaying", "load", "mass that sways")
+        stores.append((f"{name}.line_{end}", "store", f"oil of the {end} end's line", name))
+    stores += _of_each(model, names.mounts, "mount_spring", "store", "spring of the mount")
+    stores += _of_each(model, names.sways, "swaying", "load", "mass that sways")
     if model.rig.supply.accumulator is not None:
-        rows.append(("accumulator", "store", "accumulator", None))
-    return rows
+        stores.append(("accumulator", "store", "accumulator", None))
+    return powers, stores
 
 
 def _of_each(
@@ -317,7 +301,8 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
     drawn = [f"{name}.{key}" for name in cylinders for key in ("drawn", "drawn_compression")]
     given = [row for row, group, _, owner in rows if group == "supply" and owner is None]
     retained = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
-    parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *retained))]
+    line = (f"{word}.supply_line", "part", f"{word}, supply line", None)
+    parts: list[Part] = [(line, given, (*drawn, *retained))]
     for name in cylinders:
         taken = [
             row
@@ -329,12 +314,13 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
         shafts = [row for row, group, _, owner in rows if owner == name and group == "supply"]
         supplied = (f"{name}.drawn", f"{name}.drawn_compression", *shafts)
         taken.append(f"{name}.work")
-        parts.append((f"{name}.{word}", "oil of the cylinder", name, supplied, taken))
+        oil = (f"{name}.{word}", "part", f"{word}, oil of the cylinder", name)
+        parts.append((oil, supplied, taken))
     work = [f"{name}.work" for name in cylinders]
     spent = [
         row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in MECHANICAL
     ]
-    parts.append((f"{word}.mechanism", "mechanism", None, work, spent))
+    parts.append(((f"{word}.mechanism", "part", f"{word}, mechanism", None), work, spent))
     return parts
 
 

@@ -87,13 +87,21 @@ class ServedTarget(Target):
     def __init__(
         self, prepared: Prepared, faults: Sequence[Fault] = (), watchdog: float | None = None
     ) -> None:
+
+        def following(values: list[float]) -> list[float]:
+            """The commands of the table's next row; after the last it is done."""
+            if (row := self._table.get(len(self._log))) is None:
+                self.stop(1)
+                row = self.applied
+            return row
+
         layout, self.served = Layout.of(prepared.rig), Served(prepared)
         count = len(layout.commands.names)
         self._buffered = layout.number("buffered")
         modes = {
             layout.number("stream"): (count, list),
             layout.number("setpoint"): (len(layout.references), self.served.follow),
-            self._buffered: (count + 1, lambda values: self._next()),
+            self._buffered: (count + 1, following),
         }
         limits, peak = [], prepared.recipe.limits.pressure_max
         for c, stroke in enumerate(self.served.machine.strokes.tolist()):
@@ -121,13 +129,6 @@ class ServedTarget(Target):
             if self.state < RUNNING:
                 self._table[int(row)] = commands
         return True
-
-    def _next(self) -> list[float]:
-        """The commands of the table's next row; after the last it is done."""
-        if (row := self._table.get(len(self._log))) is None:
-            self.stop(1)
-            row = self.applied
-        return row
 
     def _fails(self, kind: str) -> Fault | None:
         """The fault of a kind that acts now, in time since the valves could first move."""

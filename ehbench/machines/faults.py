@@ -197,7 +197,20 @@ class FaultyMachine:
         self._supply.flow_limit = 0.0 if lost else self._flow_limit
         sample = self._machine.tick(given)
         self._tick += 1
-        self._receive(self._sensed(sample), self._tick / self.rate)
+        t, shown = self._tick / self.rate, self._sensed(sample)
+        sequence, arrival, taken = self._tick, t, t  # of the newest that has come over the link
+        for failure in self._of("machine"):
+            kind = failure.fault.kind
+            if kind == "link_lost" and failure.active(t):
+                arrival = math.inf
+            if kind == "link_delayed":
+                arrival, (sequence, taken, shown) = failure.late(t, (sequence, taken, shown))
+            if kind == "link_reordered" and failure.active(t) and self._tick % 2:
+                arrival = math.inf  # it comes behind the next, which is newer
+        if arrival <= t + 0.5 / self.rate and sequence >= self.stamp.sequence:
+            self._seen, self.stamp = shown, Stamp(taken, sequence, t - taken)
+        else:
+            self.stamp = self.stamp._replace(age=t - self.stamp.time)
         return self._seen.copy()
 
     def close(self) -> None:
@@ -226,22 +239,6 @@ class FaultyMachine:
                     shown[j] = math.nan if kind == "nan" else rate
             failure.last = float(shown[i])
         return shown
-
-    def _receive(self, shown: np.ndarray, t: float) -> None:
-        """The newest sample that has come over the link by t [s]."""
-        sequence, arrival, taken = self._tick, t, t
-        for failure in self._of("machine"):
-            kind = failure.fault.kind
-            if kind == "link_lost" and failure.active(t):
-                arrival = math.inf
-            if kind == "link_delayed":
-                arrival, (sequence, taken, shown) = failure.late(t, (sequence, taken, shown))
-            if kind == "link_reordered" and failure.active(t) and self._tick % 2:
-                arrival = math.inf  # it comes behind the next, which is newer
-        if arrival <= t + 0.5 / self.rate and sequence >= self.stamp.sequence:
-            self._seen, self.stamp = shown, Stamp(taken, sequence, t - taken)
-        else:
-            self.stamp = self.stamp._replace(age=t - self.stamp.time)
 
 
 def _effect(failure: Failure, t: float, value: float) -> float:

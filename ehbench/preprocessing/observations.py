@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -164,7 +164,25 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
     or the supply's pressure is not the model's. What speaks against the model has a ``cause``, and
     the ``line`` to write and ``where``.
     """
-    notes = list(_levels_off(record, simulated, rig))
+    notes = []
+    for name, channel in READ_OFF.items():  # what has no log goes by the rig file
+        if channel not in record or channel not in simulated:
+            continue
+        if channel == "p_supply" and rig.supply.load_sensing is not None:
+            continue  # it stands at the load's pressure
+        known, level = float(rig.parameters()[name]), float(simulated[channel][0])
+        share = SETTINGS.slack if channel == "p_tank" else SETTINGS.supply_off
+        allowed = share * float(rig.supply.pressure)
+        if channel == "p_supply" and np.max(record[channel]) - level > allowed:
+            continue  # no level of its own: it goes with the load
+        if abs(level - known) > allowed:
+            shown = rig.shown(channel, level)
+            fields = {"name": name, "known": rig.shown(channel, known), "seen": shown}
+            cause = message("preprocessing.other_level", **fields)
+            key = name.rpartition(".")[2]
+            where = message("preprocessing.in_supply", key=key)
+            written = {"line": f'{key} = "{shown}"', "where": where}
+            notes.append(message("preprocessing.level_off", cause=cause, weight=0.5, **written))
     if supplied(record):
         return notes
     seen, accumulator = "p_supply" in record, rig.supply.accumulator
@@ -190,30 +208,6 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
         fields = {"cause": cause, "line": f'{SUPPLY} = "{RECORDED}"', "where": where}
         notes.append(message("preprocessing.supply_off", time=time, weight=0.5, **fields))
     return notes
-
-
-def _levels_off(record: Record, simulated: Record, rig: Rig) -> Iterator[Message]:
-    """A note of each pressure that a log gives to its replay, and that the rig file has another
-    way: what has no log goes by the rig file.
-    """
-    for name, channel in READ_OFF.items():
-        if channel not in record or channel not in simulated:
-            continue
-        if channel == "p_supply" and rig.supply.load_sensing is not None:
-            continue  # it stands at the load's pressure
-        known, seen = float(rig.parameters()[name]), float(simulated[channel][0])
-        share = SETTINGS.slack if channel == "p_tank" else SETTINGS.supply_off
-        allowed = share * float(rig.supply.pressure)
-        if channel == "p_supply" and np.max(record[channel]) - seen > allowed:
-            continue  # no level of its own: it goes with the load
-        if abs(seen - known) > allowed:
-            shown = rig.shown(channel, seen)
-            fields = {"name": name, "known": rig.shown(channel, known), "seen": shown}
-            cause = message("preprocessing.other_level", **fields)
-            key = name.rpartition(".")[2]
-            where = message("preprocessing.in_supply", key=key)
-            written = {"line": f'{key} = "{shown}"', "where": where}
-            yield message("preprocessing.level_off", cause=cause, weight=0.5, **written)
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:

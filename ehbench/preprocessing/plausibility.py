@@ -251,8 +251,10 @@ def refuse_positions(name: str, record: Record, rig: Rig) -> None:
             raise InputError(message("preprocessing.outside_travel", **fields))
 
 
-def _refuse_supply(name: str, record: Record, model: Model) -> None:
+def refuse_supply(name: str, record: Record, model: Model) -> None:
     """Refuse a supply pressure that is not of the unit it says."""
+    if "p_supply" not in record:
+        return
     rig, line = model.rig, model.plant.supply
     supply, seen = float(line.pressure), float(np.percentile(record["p_supply"], 90))
     minimum = float(line.margin) or supply  # which a load-sensing pump may stand at
@@ -271,8 +273,6 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
     """Refuse pressures that neither the supply nor the load can have made."""
     rig, plant, names = model.rig, model.plant, model.layout
     supply, shown = float(plant.supply.pressure), rig.shown
-    if "p_supply" in record:
-        _refuse_supply(name, record, model)
     try:
         start = model.start_of(record, rest)
     except EhbenchError:
@@ -300,7 +300,11 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
             fields |= {"log": name, "cylinder": cylinder.name}
             raise InputError(message("preprocessing.low_pressures", **fields))
         light = need < SETTINGS.loaded * supply
-        if not still or carrying not in seen or light or _at_end(record, cylinder, rest):
+        stroke = record.channels.get(f"{cylinder.name}.x", np.full(1, 0.5 * float(cylinder.stroke)))
+        share = float(np.mean(stroke[:rest])) / float(cylinder.stroke)
+        # at an end, the stop carries what the oil does not
+        at_end = not SETTINGS.travel < share < 1.0 - SETTINGS.travel
+        if not still or carrying not in seen or light or at_end:
             continue
         back = 0.0
         if other in seen:
@@ -336,15 +340,6 @@ def _peak(
             fields |= {"supply": rig.shown("p_head", supply, 3), "rig": rig.name}
             raise InputError(message("preprocessing.high_pressure", log=name, **fields))
     return max(peaks.values())
-
-
-def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
-    """Whether the recorded stroke begins at an end stop, which carries what the oil does not."""
-    channel = f"{cylinder.name}.x"
-    if channel not in record:
-        return False
-    x = float(np.mean(record[channel][:rest]))
-    return not SETTINGS.travel < x / float(cylinder.stroke) < 1.0 - SETTINGS.travel
 
 
 def _travel_of(cylinder: Cylinder, word: str) -> float:

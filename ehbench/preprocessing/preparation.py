@@ -28,6 +28,7 @@ from ehbench.preprocessing.plausibility import (
     refuse_positions,
     refuse_pressures,
     refuse_sample_time,
+    refuse_supply,
     replay_notes,
     undriven,
 )
@@ -96,6 +97,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
     on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
     begun = [message("preprocessing.starts_on", channel=name, command=on[name]) for name in on]
     begun += [message("preprocessing.starts_moving", cylinder=name) for name in moving]
+    refuse_supply(name, record, model)
     refuse_pressures(name, record, model, rest, still=not begun)
     notes += [*begun, *notes_on_channels(record, model), *replay_notes(name, record, model)]
     notes += begins_elsewhere(record, model, rest)

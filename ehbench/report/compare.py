@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ehbench.config.rig import Rig
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
@@ -15,13 +14,11 @@ from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import Answer, reported
 from ehbench.report.words import (
     DASH,
-    estimate,
     number,
-    plus,
     pretty,
-    range_of,
     shown,
     unit_of,
+    with_interval,
     words,
 )
 from ehbench.runs.rundir import read_json
@@ -181,9 +178,12 @@ def answer(result: Comparison, first: Path) -> Answer:
     rows = []
     for item in result.parameters:
         pairs = ((item.first, item.first_interval), (item.second, item.second_interval))
-        cells = [num(_number_text(rig, item.name, value, ends)) for value, ends in pairs]
-        unit = "" if rig is None else pretty(unit_of(rig, item.name))
-        rows.append([item.name, *cells, unit, num(number(item.intervals, 2))])
+        known = [[value, *(ends or (None, None))] for value, ends in pairs]
+        texts, unit = [number(value) for value, _ in pairs], ""  # in SI the numbers alone
+        if rig is not None:
+            texts = [with_interval(*(shown(rig, item.name, x) for x in some)) for some in known]
+            unit = pretty(unit_of(rig, item.name))
+        rows.append([item.name, *map(num, texts), unit, num(number(item.intervals, 2))])
     tables = [
         Grid(head, rows),
         Grid(["number", "first", "second"], numbers),
@@ -204,13 +204,3 @@ def answer(result: Comparison, first: Path) -> Answer:
 def _abbreviated(text: str) -> str:
     """A digest by its first letters."""
     return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or DASH
-
-
-def _number_text(rig: Rig | None, name: str, value: float | None, ends: Ends | None) -> str:
-    """A number with its interval, in the rig's unit; in SI the number alone."""
-    if rig is None or value is None:
-        return number(value)
-    if ends is None:
-        return plus(rig, name, value, None)
-    text = estimate(*(shown(rig, name, end) for end in (value, *ends)))
-    return text if "±" in text else f"{text} ({range_of(rig, name, ends)})"

@@ -243,12 +243,8 @@ def _render(
 
 def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
     """Every parameter of a rig, with value, unit, how sure it is, and source; the notes on its
-    valve dynamics before.
-
-    Args:
-        rig: the rig.
-        fits: rows of ``parameters.json``, whose interval a value has that came from one of them;
-            the others have 1.96 of their standard error.
+    valve dynamics before. A value that came from one of the ``fits``, rows of ``parameters.json``,
+    has its interval; the others have 1.96 of their standard error.
     """
     known: dict[tuple[str, Any], Table] = {(fit["name"], fit.number("value")): fit for fit in fits}
     # centres of mass, inertias, and what payloads change, besides what the rig counts as parameters

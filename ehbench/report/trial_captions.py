@@ -102,28 +102,22 @@ def estimates_caption(rig: Rig, case: Case, record: Record) -> str:
     carried = payloads_carried(rig, case.row) if "payload_estimate" in ends else None
     fields["carried"] = carried
     if carried:
-        estimate = record[first + "payload_estimate"]
+        t, estimate, learnt = record.t, record[first + "payload_estimate"], []
+        stops = [*(time for time, _ in carried[2:]), math.inf]
+        for (_, before), (time, mass), stop in zip(carried, carried[1:], stops, strict=False):
+            part = (t >= time) & (t < stop)
+            beyond = np.flatnonzero(np.abs(estimate[part] - mass) > within * abs(mass - before))
+            late = beyond[-1] + 1 if beyond.size else 0
+            never = beyond.size and late == part.sum()
+            lasts = None if never else float((t[part] - time)[late]) if late else 0.0
+            learnt.append((time, mass, lasts))  # of each change of payload, until learnt
         fields |= {
             "first": float(estimate[0]),
             "off": abs(float(estimate[-1]) - carried[-1][1]),
-            "learnt": list(_learnt(record.t, estimate, carried, within)),
+            "learnt": learnt,
             "weighed": _weighed(case, record, carried, since),
         }
     return Template("trial", rig).text("estimates", **fields)
-
-
-def _learnt(
-    t: np.ndarray, estimate: np.ndarray, carried: Sequence[tuple[float, float]], within: float
-) -> Iterator[tuple[float, float, float | None]]:
-    """(time [s], mass [kg], time until learnt [s] or None) of each change of payload."""
-    ends = [*(time for time, _ in carried[2:]), math.inf]
-    for (_, before), (time, mass), until in zip(carried, carried[1:], ends, strict=False):
-        part = (t >= time) & (t < until)
-        beyond = np.flatnonzero(np.abs(estimate[part] - mass) > within * abs(mass - before))
-        if beyond.size and beyond[-1] + 1 == part.sum():
-            yield time, mass, None
-        else:
-            yield time, mass, float((t[part] - time)[beyond[-1] + 1]) if beyond.size else 0.0
 
 
 def _weighed(

@@ -155,6 +155,14 @@ def interval(low: float | None, high: float | None) -> str:
     return f"{fixed(low, places)} … {fixed(high, places)}"
 
 
+def with_interval(value: float | None, low: float | None, high: float | None) -> str:
+    """As `estimate`, with the interval in brackets where it is not even about the value."""
+    text = estimate(value, low, high)
+    if "±" in text or None in (value, low, high):
+        return text
+    return f"{text} ({interval(low, high)})"
+
+
 def words(name: str) -> str:
     """A key or status word as prose: ``not_excited`` → ``not excited``."""
     return name.replace("_", " ")

@@ -129,13 +129,22 @@ class Summary:
         values = [self._values(index) for index in range(len(self.measures))]
         for first in range(0, design.size, design.points):
             span, inputs = slice(first, first + design.points), design.inputs(first)
+            measures = []
+            for y in (y[span][np.isfinite(y[span])] for y in values):
+                about: dict[str, Any] = {"samples": int(y.size)}
+                about |= dict.fromkeys(("mean", "median", "q95", "maximum"))
+                if y.size:
+                    median, upper = np.quantile(y, (0.5, 0.95)).tolist()
+                    about |= {"mean": float(y.mean()), "median": median, "q95": upper}
+                    about["maximum"] = float(y.max())
+                measures.append(about)
             results.append(
                 {
                     "values": dict(zip(keys, map(label_of, inputs[: len(keys)]), strict=True)),
                     "cells": design.cells(inputs)[: len(keys)],
                     "samples": design.points,
                     "whole": int(np.isin(self.rows.codes[span], WHOLE).sum()),
-                    "measures": [_group_statistics(y[span]) for y in values],
+                    "measures": measures,
                     "targets": [
                         statistics.share(int(met[span].sum()), design.points)._asdict()
                         for met in self._met
@@ -175,14 +184,3 @@ class Summary:
             inputs = [item._asdict() for item in table]
             about = {"measure": column.name, "method": method, "explained": explained}
             yield about | {"inputs": inputs}
-
-
-def _group_statistics(values: np.ndarray) -> dict[str, Any]:
-    """A measure of one combination."""
-    y = values[np.isfinite(values)]
-    if not y.size:
-        return {"samples": 0, "mean": None, "median": None, "q95": None, "maximum": None}
-    median, upper = np.quantile(y, (0.5, 0.95)).tolist()
-    mean, maximum = float(y.mean()), float(y.max())
-    about = {"samples": int(y.size), "mean": mean, "median": median, "q95": upper}
-    return about | {"maximum": maximum}

@@ -135,7 +135,14 @@ def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Re
     if recipe.controller is None:
         if recipe.parts not in (None, "model"):
             raise InputError(message("export.without_controller"), **recipe.at("parts"))
-        trial = _open_loop(recipe, state.rig)
+        command = []  # each valve opens halfway and shuts at a frequency of its own
+        for i, (cylinder, valve) in enumerate(state.rig.valves()):
+            low, high = (0.5 * (valve.rest + end) for end in valve.given)
+            item = {"valve": f"{cylinder.name}.{valve.name}", "kind": "sine"}
+            item |= {"offset": f"{0.5 * (low + high)!r} V", "frequency": f"{0.5 + 0.1 * i!r} Hz"}
+            command.append(item | {"amplitude": f"{0.5 * (high - low)!r} V"})
+        keys = {"stage": "trial", "rig": recipe.rig, "duration": "2 s", "command": command}
+        trial = TrialRecipe(path=recipe.path, **keys)
     else:
         item, run = _named(recipe, inputs)
         if isinstance(item, TrialRecipe):
@@ -178,18 +185,6 @@ def _named(recipe: ExportRecipe, inputs: Inputs) -> tuple[Recipe, Path]:
         text = message("export.no_controller", name=recipe.controller)
         raise InputError(text, **recipe.at("controller"))
     return item, place
-
-
-def _open_loop(recipe: ExportRecipe, rig: Rig) -> TrialRecipe:
-    """A trial in which each valve opens halfway and shuts at a frequency of its own."""
-    command = []
-    for i, (cylinder, valve) in enumerate(rig.valves()):
-        low, high = (0.5 * (valve.rest + end) for end in valve.given)
-        item = {"valve": f"{cylinder.name}.{valve.name}", "kind": "sine"}
-        item |= {"offset": f"{0.5 * (low + high)!r} V", "amplitude": f"{0.5 * (high - low)!r} V"}
-        command.append(item | {"frequency": f"{0.5 + 0.1 * i!r} Hz"})
-    trial = {"stage": "trial", "rig": recipe.rig, "duration": "2 s", "command": command}
-    return TrialRecipe(path=recipe.path, **trial)
 
 
 def _tuned(recipe: ExportRecipe, item: Recipe, place: Path, rig: Rig) -> TrialRecipe:

@@ -1,6 +1,6 @@
 """What a fit knows of the sensors of its logs, for whoever judges its rig on other logs."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,15 @@ def inherited(
         term = _shown(rig, channel, word, value, std)
         notes.append(message("stages.sensor_term", channel=channel, term=term))
     for channel, table in tables.items():
-        if terms := list(_given_terms(table, rows)):
+        # what it states in addition to what its fit estimated of all logs
+        shared = {row["word"] for row in rows if row["channel"] == channel and not row["log"]}
+        terms = ["sign -1"] * (table.get("sign") == -1)
+        terms += ["absolute pressure"] * (table.get("pressure") == "absolute")
+        for word in (word for word in WORDS if word in table and word not in shared):
+            value = table[word]
+            plain = value["value"] if isinstance(value, Mapping) else value
+            terms.append(f"{word} of each log" if value == ESTIMATE else f"{word} {plain}")
+        if terms:
             text = message("stages.sensor_given", channel=channel, terms=", ".join(terms))
             notes.append(text)
     return (*sensors, *map(Sensor.model_validate, tables.values())), tuple(notes)
@@ -75,17 +83,3 @@ def _shown(rig: Rig, channel: str, word: str, value: float, std: float) -> str:
     unit = "ms" if word in ("lag", "delay") else rig.unit_of(row.name)
     size, wide = (float(from_si(item, unit, row)) for item in (value, half))
     return f"{word} {size:.2g} ± {wide:.2g} {unit}"
-
-
-def _given_terms(table: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """What a table states in addition to what its fit estimated of all logs."""
-    shared = {row["word"] for row in rows if row["channel"] == table["channel"] and not row["log"]}
-    if table.get("sign") == -1:
-        yield "sign -1"
-    if table.get("pressure") == "absolute":
-        yield "absolute pressure"
-    for word in WORDS:
-        if word in table and word not in shared:
-            value = table[word]
-            plain = value["value"] if isinstance(value, Mapping) else value
-            yield f"{word} of each log" if value == ESTIMATE else f"{word} {plain}"

@@ -12,7 +12,7 @@ from ehbench.config.recipe.columns import LEAVE_OUT
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
-from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
+from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
@@ -20,7 +20,6 @@ from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
-    from ehbench.config.rig import Rig
     from ehbench.data.flowmeter import FlowmeterData
     from ehbench.flow_maps.tables import PreparedReadings
 
@@ -64,23 +63,46 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     writes = "flow_maps.json, flow_maps.csv, summary.json, points.csv, rig.toml, figures"
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
+        from ehbench.data.flowmeter import read_flowmeter
         from ehbench.flow_maps.tables import prepare_readings
 
-        state = inputs.rig_state(recipe.rig)
-        from_logs = recipe.method == "steps"
-        take = _of_logs if from_logs else _of_files
-        parts, files, leave_out, logs = take(recipe, inputs, state.rig)
-        inputs.notes.add("undecided", message("stages.map_supported"))
+        state, notes = inputs.rig_state(recipe.rig), inputs.notes
+        from_logs, supply = recipe.method == "steps", float(state.rig.supply.pressure)
+        parts, files, maps, lossy, logs = [], [*state.inputs], [], [], None
+        if from_logs:
+            from ehbench.flow_maps.step_readings import step_readings
+            from ehbench.plant.model import Model
+
+            logs, settle = inputs.logs(recipe.data, state.rig), float(recipe.settle)
+            files, model = [*files, *logs.files], Model.of(state.rig)
+            for name, record in logs.records:
+                with notes.collected():
+                    part = step_readings(name, record, model, settle, float(recipe.span))
+                    parts.append(part)
+                    _note_readings(name, part, inputs)
+        for index, item in enumerate(() if from_logs else recipe.data):
+            with notes.collected():
+                columns = inputs.columns(item, index)
+                files.append(("data", path := inputs.existing(item.path)))
+                maps += [("columns", file) for file in (() if columns is None else columns.files)]
+                leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
+                lossy += [path.name] * leave_out
+                part = read_flowmeter(path, columns, supply_pressure=supply, leave_out=leave_out)
+                parts.append(part)
+                _note_readings(item.path, part, inputs)
+                notes.remarks += part.warnings
+        notes.add("undecided", message("stages.map_supported"))
         does = message(
             "stages.does_flow_map",
             maps=plural(len({group for part in parts for group in part.groups()}), "flow map"),
             readings=sum(map(len, parts)),
             source=plural(len(recipe.data), "log" if from_logs else "file"),
         )
-        readings = prepare_readings(state.rig, parts, leave_out) if parts else None
+        readings = prepare_readings(state.rig, parts, lossy) if parts else None
         if readings is not None and not from_logs:
-            inputs.notes.add("losses", *(f"lost: {loss}" for loss in readings.losses))
-        return PreparedMaps(recipe, (*state.inputs, *files), does, state, readings, logs)
+            notes.add("losses", *(f"lost: {loss}" for loss in readings.losses))
+        files = (*files, *dict.fromkeys(maps))
+        return PreparedMaps(recipe, files, does, state, readings, logs)
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
         from ehbench.flow_maps import tables as readings
@@ -134,50 +156,14 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         warnings = [
             f"{fit.map.valve} {fit.map.direction}: {text}" for fit in fits for text in fit.warnings
         ]
-        logs = prepared.logs or Logs([], (), [], [], [], [], ())
-        losses = [*prepared.readings.losses, *logs.losses]
-        details = [*prepared.readings.details, *logs.details]
-        facts = {"rig": rig.name, "warnings": [*losses, *logs.remarks, *warnings, *without]}
+        losses, details, remarks = prepared.readings.losses, prepared.readings.details, ()
+        if (logs := prepared.logs) is not None:
+            losses, details = (*losses, *logs.losses), (*details, *logs.details)
+            remarks = logs.remarks
+        facts = {"rig": rig.name, "warnings": [*losses, *remarks, *warnings, *without]}
         facts |= {"details": details} if details else {}
         lost = losses or (without and recipe.method != "steps")
         return Work(facts, code=INCOMPLETE if lost else DONE)
-
-
-_Readings = tuple[list["FlowmeterData"], NamedFiles, list[str], Logs | None]
-
-
-def _of_files(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
-    """(readings of flowmeter files, the files, those whose bad samples are left out, None)."""
-    from ehbench.data.flowmeter import read_flowmeter
-
-    parts, files, maps, lossy, supply = [], [], [], [], float(rig.supply.pressure)
-    for index, item in enumerate(recipe.data):
-        with inputs.notes.collected():
-            columns = inputs.columns(item, index)
-            files.append(("data", path := inputs.existing(item.path)))
-            maps += [("columns", file) for file in (() if columns is None else columns.files)]
-            leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
-            lossy += [path.name] * leave_out
-            part = read_flowmeter(path, columns, supply_pressure=supply, leave_out=leave_out)
-            parts.append(part)
-            _note_readings(item.path, part, inputs)
-            inputs.notes.remarks += part.warnings
-    return parts, (*files, *dict.fromkeys(maps)), lossy, None
-
-
-def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
-    """(readings that step logs give, their files, none, the logs)."""
-    from ehbench.flow_maps.step_readings import step_readings
-    from ehbench.plant.model import Model
-
-    logs = inputs.logs(recipe.data, rig)
-    model, parts = Model.of(rig), []
-    for name, record in logs.records:
-        with inputs.notes.collected():
-            part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
-            parts.append(part)
-            _note_readings(name, part, inputs)
-    return parts, logs.files, [], logs
 
 
 def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:

@@ -11,7 +11,7 @@ from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import TracedRun
 from ehbench.report.terminal import Answer
-from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
+from ehbench.report.words import interval, number, pretty, shown, unit_of, with_interval
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
@@ -34,11 +34,8 @@ class NextTest:
     rig_file: Path
 
     def answer(self, run: Path, written: Path | None) -> Answer:
-        """What the command says.
-
-        Args:
-            run: of the fit.
-            written: the recipe of the first test, if it was written.
+        """What the command says of the ``run`` of a fit; ``written`` is the recipe of the first
+        test, if it was.
         """
         name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
         now = self._text(self.known.interval)
@@ -71,9 +68,7 @@ class NextTest:
         value = self._shown(self.known.value)
         if ends is None:
             return message("stages.unknown_value", value=number(value))
-        low, high = map(self._shown, ends)
-        text = estimate(value, low, high)
-        return text if "±" in text else f"{text} ({interval(low, high)})"
+        return with_interval(value, *map(self._shown, ends))
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for scripts, SI."""

@@ -184,12 +184,7 @@ class SampleInputs(Inputs):
 
 
 class Sampler:
-    """Makes samples of a plan.
-
-    Args:
-        plan: of the study.
-        scratch: a folder for what a sample writes and drops.
-    """
+    """Makes samples of a plan; ``scratch`` is a folder for what a sample writes and drops."""
 
     def __init__(self, plan: Plan, scratch: Path) -> None:
         self.plan, self.scratch = plan, scratch
@@ -261,19 +256,34 @@ class Sampler:
         self, settings: Mapping[str, Any], progress: Progress | None
     ) -> tuple[int, str, tuple[float, ...]]:
         """(exit code, message, measures) of a sample."""
+        measures = self.plan.study.measures
         with self._folder(settings) as folder:
             files = self.files(settings, Path(folder))
             recipe = files.base.changed(files.changes[""], files.folder)
             stage = cast(Stage, stage_of(recipe))  # others are refused
             prepared = stage.prepare(recipe, self.inputs(recipe, files))
-            if isinstance(prepared, PreparedOne):
-                return self._trial(prepared, settings, progress)
+            if isinstance(prepared, PreparedOne):  # of which nothing is written
+                from ehbench import trial
+
+                result = trial.run(prepared.trial, progress=progress)
+                facts, ledger = result.facts, None
+                if {(item.result or "").split(".")[0] for item in measures} & {"energy", "ledger"}:
+                    facts, ledger, _ = trial.account(prepared.trial, result)
+                roots = trial_roots(facts.as_json(), ledger)
+                stop = None if facts.stop is None else facts.stop.t
+                values = tuple(
+                    of_channels(item, result.record, stop)
+                    if item.channel is not None
+                    else _measured(item, roots, settings)
+                    for item in measures
+                )
+                return 5 if facts.stopped else 0, facts.stopped, values
             out = files.folder / "out"
             out.mkdir()
             work = stage.work(prepared, out, progress)
             roots = roots_of(out, {**work.facts, "code": work.code})
-        measures = tuple(_measured(item, roots, settings) for item in self.plan.study.measures)
-        return work.code, "; ".join(work.reasons), measures
+        values = tuple(_measured(item, roots, settings) for item in measures)
+        return work.code, "; ".join(work.reasons), values
 
     def _folder(self, settings: Mapping[str, Any]) -> AbstractContextManager[Path | str]:
         """A folder for a sample's files; a single trial without a bench file has none."""
@@ -282,26 +292,6 @@ class Sampler:
         if isinstance(files.base.model, TrialRecipe) and alone:
             return nullcontext(self.scratch)
         return TemporaryDirectory(dir=self.scratch)
-
-    def _trial(
-        self, prepared: PreparedOne, settings: Mapping[str, Any], progress: Progress | None
-    ) -> tuple[int, str, tuple[float, ...]]:
-        """A single trial, of which nothing is written."""
-        from ehbench import trial
-
-        result, measures = trial.run(prepared.trial, progress=progress), self.plan.study.measures
-        facts, ledger = result.facts, None
-        if {(item.result or "").split(".")[0] for item in measures} & {"energy", "ledger"}:
-            facts, ledger, _ = trial.account(prepared.trial, result)
-        roots = trial_roots(facts.as_json(), ledger)
-        stop = None if facts.stop is None else facts.stop.t
-        values = tuple(
-            of_channels(item, result.record, stop)
-            if item.channel is not None
-            else _measured(item, roots, settings)
-            for item in measures
-        )
-        return 5 if facts.stopped else 0, facts.stopped, values
 
     def _watch(self, began: float) -> Progress | None:
         """Progress that ends a sample beyond its limit; not the first, which compiles."""

@@ -207,13 +207,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
 
 
 def sample_recipe(study: Path, index: int, root: Path, inputs: Callable[[Recipe], Inputs]) -> Path:
-    """Write the recipe of one sample with its files into a folder of its own below ``root``.
-
-    Args:
-        study: its recipe, or its run folder.
-        index: of the sample, from 0.
-        root: of all runs.
-        inputs: what a recipe takes in.
+    """Write the recipe of a sample, counted from 0, with its files into a folder of its own below
+    the ``root`` of all runs; the study is named by its recipe or by its run folder.
 
     Raises:
         InputError: no such study or sample.

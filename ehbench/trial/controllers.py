@@ -86,6 +86,19 @@ class Design:
         return self.model.layout.edges[self.at_cylinder]
 
     @property
+    def valve_frequencies(self) -> dict[str, list[float]]:
+        """Natural frequencies [rad/s] of the cylinder's slowest and fastest valve; nothing where
+        its valves follow at once.
+        """
+        periods = [
+            max(self.rig.dynamics[name].period() for name in valve.series)
+            for owner, valve in self.rig.valves()
+            if owner.name == self.cylinder and valve.series
+        ]
+        ends = [2.0 * math.pi / end for end in (max(periods), min(periods))] if periods else []
+        return {"natural_frequency": ends} if all(ends) and ends else {}
+
+    @property
     def x(self) -> float:
         """The cylinder's stroke [m] at the start."""
         joint = int(self.row.joint)

@@ -31,13 +31,8 @@ class OperatorInput(Protocol):
 
 
 class Operator:
-    """Who moves the cylinders of a running trial.
-
-    Args:
-        source: says where the levers are.
-        prepared: the trial, in whose references the motion is written row by row.
-        parts: its controllers, in the order of the cylinders.
-        checks: of its rows.
+    """Who moves the cylinders of a running trial, in whose references the motion is written row by
+    row; ``parts`` are its controllers, in the order of the cylinders, ``checks`` those of its rows.
     """
 
     def __init__(
@@ -80,10 +75,8 @@ class Operator:
 
 
 class Replayed:
-    """Who holds the levers as a list says.
-
-    Args:
-        given: what each `read` gives; after the last, the dead-man switch is let go.
+    """Who holds the levers as a list says, an item for each `read`; after the last, the dead-man
+    switch is let go.
     """
 
     def __init__(self, given: Iterable[Sequence[float] | None]) -> None:

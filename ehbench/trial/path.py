@@ -156,6 +156,51 @@ class Mover:
         rows = [self.model.plant.cylinders[i] for i in self.moved.values()]
         return np.column_stack([linkage_arrays(row, q[:, int(row.joint)])[0] for row in rows])
 
+    def leg(
+        self, ends: tuple[np.ndarray, np.ndarray], q: np.ndarray, index: int
+    ) -> tuple[float, BSpline, np.ndarray]:
+        """(length [m] of the line between two points, the strokes' spline by the way made on it,
+        the posture at the second), from posture q at the first on.
+
+        Raises:
+            InputError: it cannot be followed.
+        """
+        from scipy.interpolate import make_interp_spline
+
+        (item, other), chain, slack = ends, self.chain, 1e-9
+        length = float(np.linalg.norm(other - item))
+        where = self.recipe.at(*self.motion.where, "points", index)
+        if length <= FOUND:
+            raise InputError(message("trial.same_point", number=index + 1, before=index), **where)
+        coarse = np.linspace(0.0, 1.0, PATH.coarse)
+        begun = []  # each the nearest to the one before
+        for point in item + coarse[:, None] * (other - item):
+            q = self.between(point, q, index)
+            begun.append(q)
+        near = make_interp_spline(coarse, np.array(begun), k=3)
+        count = max(PATH.postures, int(np.ceil(length / PATH.spacing)))
+        off = 0.0
+        for _ in range(PATH.doublings):
+            share = np.linspace(0.0, 1.0, 2 * count + 1)  # every other one to see how far it is off
+            line = item + share[:, None] * (other - item)
+            starts = near(share)
+            postures, miss = polish(chain, line, starts, self.free)
+            out = (postures < chain.low - slack) | (postures > chain.high + slack)
+            for i in np.flatnonzero(out[:, self.free].any(axis=1) | (miss > FOUND)):
+                postures[i] = self.between(line[i], starts[i], index)
+            built = self.strokes(postures)
+            curve = make_interp_spline(length * share[::2], built[::2], k=5)
+            apart = np.abs(curve(length * share[1::2]) - built[1::2])
+            off = float((apart * _tip_slope(self, postures[1::2])).sum(axis=1).max())
+            if off <= PATH.error:
+                return length, curve, postures[-1]
+            count *= 2
+        distance = self.model.rig.shown("x", off)
+        raise InputError(
+            message("trial.near_singular", before=index, number=index + 1, distance=distance),
+            **where,
+        )
+
 
 def along_path(recipe: TrialRecipe) -> bool:
     """Whether a trial's motion is a path of the tip."""
@@ -180,7 +225,7 @@ def route(recipe: TrialRecipe, model: Model) -> tuple[dict[str, float], dict[str
     q, lengths, curves = results[0].q, [], []
     start = mover.strokes(q[None])[0]
     for index, (item, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
-        length, curve, q = _leg(mover, (item, other), q, index)
+        length, curve, q = mover.leg((item, other), q, index)
         lengths.append(length)
         curves.append(curve)
     # the way made along the whole path: s, ṡ, s̈, s⃛
@@ -200,51 +245,6 @@ def route(recipe: TrialRecipe, model: Model) -> tuple[dict[str, float], dict[str
         tables[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
     starts = dict(zip(mover.moved, start.tolist(), strict=True))
     return starts, dict(zip(mover.moved, tables, strict=True))
-
-
-def _leg(
-    mover: Mover, ends: tuple[np.ndarray, np.ndarray], q: np.ndarray, index: int
-) -> tuple[float, BSpline, np.ndarray]:
-    """(length [m] of the line between two points, the strokes' spline by the way made on it, the
-    posture at the second), from posture q at the first on.
-
-    Raises:
-        InputError: it cannot be followed.
-    """
-    from scipy.interpolate import make_interp_spline
-
-    (item, other), chain, slack = ends, mover.chain, 1e-9
-    length = float(np.linalg.norm(other - item))
-    where = mover.recipe.at(*mover.motion.where, "points", index)
-    if length <= FOUND:
-        raise InputError(message("trial.same_point", number=index + 1, before=index), **where)
-    coarse = np.linspace(0.0, 1.0, PATH.coarse)
-    begun = []  # each the nearest to the one before
-    for point in item + coarse[:, None] * (other - item):
-        q = mover.between(point, q, index)
-        begun.append(q)
-    near = make_interp_spline(coarse, np.array(begun), k=3)
-    count = max(PATH.postures, int(np.ceil(length / PATH.spacing)))
-    off = 0.0
-    for _ in range(PATH.doublings):
-        share = np.linspace(0.0, 1.0, 2 * count + 1)  # every other one to see how far it is off
-        line = item + share[:, None] * (other - item)
-        starts = near(share)
-        postures, miss = polish(chain, line, starts, mover.free)
-        out = (postures < chain.low - slack) | (postures > chain.high + slack)
-        for i in np.flatnonzero(out[:, mover.free].any(axis=1) | (miss > FOUND)):
-            postures[i] = mover.between(line[i], starts[i], index)
-        built = mover.strokes(postures)
-        curve = make_interp_spline(length * share[::2], built[::2], k=5)
-        apart = np.abs(curve(length * share[1::2]) - built[1::2])
-        off = float((apart * _tip_slope(mover, postures[1::2])).sum(axis=1).max())
-        if off <= PATH.error:
-            return length, curve, postures[-1]
-        count *= 2
-    distance = mover.model.rig.shown("x", off)
-    raise InputError(
-        message("trial.near_singular", before=index, number=index + 1, distance=distance), **where
-    )
 
 
 def _tip_slope(mover: Mover, q: np.ndarray) -> np.ndarray:

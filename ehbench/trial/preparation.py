@@ -14,6 +14,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.functions import pack_rules
 from ehbench.control.trajectory import Reference
+from ehbench.data.record import payloads_text
 from ehbench.machines.protocol import (
     Machine,
     carry_of,
@@ -125,6 +126,15 @@ class Loop:
         """What the first shall do."""
         return self.driven[0].references
 
+    @property
+    def valves(self) -> tuple[str, ...]:
+        """Valves that built-in controllers command; a user's class may leave any to the recipe."""
+        taken = []
+        for item in self.driven if self.laws else ():
+            valves = {int(v) for v in item.design.circuit.edges.valve[item.design.at_cylinder]}
+            taken += [item.design.valves[i] for i in sorted(valves)]
+        return tuple(taken)
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -173,6 +183,28 @@ class Prepared:
         recipe, machine = self.recipe.model_copy(update={"seed": seed}), seeded_of(self.machine)
         assert machine is not None  # the recipe's model sees to it
         return replace(self, recipe=recipe, machine=machine(seed))
+
+    def meta(self, machine: Machine) -> dict[str, str]:
+        """The facts of a run on a machine, as far as they are known before it, as a log has
+        them.
+        """
+        recipe = self.recipe
+        meta = {
+            "rig": self.rig.name,
+            "payload": recipe.payload or "none",
+            "on": machine.name,
+            "seed": str(recipe.seed),
+            "posture": ", ".join(f"{name} {value}" for name, value in self.posture.items())
+            or "mid-stroke",
+            "title": recipe.title,
+        }
+        if recipe.payload_change:
+            changes = ((float(change.at), change.payload) for change in recipe.payload_change)
+            meta["payload_change"] = payloads_text(changes)
+        if self.loop is not None and recipe.controller is not None:
+            label, cylinder = recipe.controller.label, self.loop.design.cylinder
+            meta |= {"controller": label, "cylinder": cylinder}
+        return meta
 
     @property
     def low_side(self) -> dict[str, float]:
@@ -325,8 +357,7 @@ def prepare(
     """Take in what a trial needs, without a tick and without a user's code.
 
     Args:
-        recipe: what to do.
-        rig: as the recipe names it.
+        recipe, rig: what to do, and the rig as the recipe names it.
         maps: measured flow maps of the rig, for the model and for the controller.
         gains: the run folder of the tune run that the recipe takes gains from, or what it says; by
             default where the recipe points.
@@ -361,7 +392,7 @@ def prepare(
     with controllers.located(recipe, "duration"):
         _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
-    table = command_table(recipe, rig, t, () if loop is None else _controlled_valves(loop))
+    table = command_table(recipe, rig, t, () if loop is None else loop.valves)
     machine = open_machine(recipe, rig, maps)
     _refuse_unknown_pressures(recipe, machine)
     payloads = _payloads(recipe, machine, t)
@@ -520,14 +551,3 @@ def _over(laws: tuple[Compiled, ...], driven: Sequence[Driven]) -> tuple[Compile
     return tuple(
         replace(law, references=table) for law, table in zip(laws, tables_of(driven), strict=False)
     )
-
-
-def _controlled_valves(loop: Loop) -> tuple[str, ...]:
-    """Valves that built-in controllers command; a user's class may leave any to the recipe."""
-    if not loop.laws:
-        return ()
-    taken = []
-    for item in loop.driven:
-        valves = {int(v) for v in item.design.circuit.edges.valve[item.design.at_cylinder]}
-        taken += [item.design.valves[i] for i in sorted(valves)]
-    return tuple(taken)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
@@ -15,7 +14,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.arc import ARC
 from ehbench.data.logs import check_record
-from ehbench.data.record import Record, payloads_of, payloads_text
+from ehbench.data.record import Record, payloads_of
 from ehbench.ledger.readings import least_step
 from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.plant.build import links_of
@@ -164,7 +163,7 @@ def run(
     with ExitStack() as logging:
         with closing(at_work):  # at once, not when all is written
             session = Session(prepared, at_work, fast, watcher, operator)
-            meta, live = _meta(prepared, at_work), None
+            meta, live = prepared.meta(at_work), None
             if log is not None:
                 import tomli_w
 
@@ -195,25 +194,6 @@ def log_channels(prepared: Prepared) -> tuple[str, ...]:
     """
     with closing(prepared.machine) as machine:
         return tuple(Session(prepared, machine).channels(slice(0, 0)))
-
-
-def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
-    recipe, loop = prepared.recipe, prepared.loop
-    posture = ", ".join(f"{name} {value}" for name, value in prepared.posture.items())
-    meta = {
-        "rig": prepared.rig.name,
-        "payload": recipe.payload or "none",
-        "on": machine.name,
-        "seed": str(recipe.seed),
-        "posture": posture or "mid-stroke",
-        "title": recipe.title,
-    }
-    if recipe.payload_change:
-        changes = ((float(change.at), change.payload) for change in recipe.payload_change)
-        meta["payload_change"] = payloads_text(changes)
-    if loop is not None and recipe.controller is not None:
-        meta |= {"controller": recipe.controller.label, "cylinder": loop.design.cylinder}
-    return meta
 
 
 def _record(session: Session, meta: dict[str, str]) -> Record:
@@ -276,7 +256,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             )
             if isinstance(part, Compiled) and part.law.after is not None:
                 known |= part.law.after(part.used, part.controller)
-            known["valves"] = _valve_frequencies(prepared.rig, item.cylinder)
+            known["valves"] = item.design.valve_frequencies
             if part.used.get("gains", {}).get("adapt_maps"):
                 known["maps"] = learnt_maps(item.design, session.machine, record, rows)
             measured = f"{item.cylinder}.v" in record
@@ -316,18 +296,6 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         tuple((at, name or "none") for at, name in payloads_of(record)[1:]),
         {name: float(error) for name, error in recipe.first_pressure_error.items()},
     )
-
-
-def _valve_frequencies(rig: Rig, cylinder: str) -> dict[str, list[float]]:
-    """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
-    valves follow at once."""
-    periods = [
-        max(rig.dynamics[name].period() for name in valve.series)
-        for owner, valve in rig.valves()
-        if owner.name == cylinder and valve.series
-    ]
-    ends = [2.0 * math.pi / end for end in (max(periods), min(periods))] if periods else []
-    return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
 def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[Message]:

@@ -95,14 +95,8 @@ class Watcher(Protocol):
 
 
 class Session:
-    """A trial on a machine, from its start to its last row.
-
-    Args:
-        prepared: the trial.
-        machine: that it runs on; the session starts it.
-        fast: advance many rows at a time where the machine can.
-        watcher: sees each row.
-        operator: holds the levers of the trial's motions.
+    """A trial on a machine, which it starts, to its last row; arguments as in
+    `ehbench.trial.run`.
 
     Raises:
         InputError: a posture that the machine cannot take; a limit reached before the start; a
@@ -183,11 +177,8 @@ class Session:
         progress: Callable[[str, float], None] | None = None,
     ) -> None:
         """Run to the end, or after a limit until the machine stands, for RUN_OUT at most; ``stop``
-        then says which limit, ``after`` what came of it, ``end`` how many rows there are.
-
-        Args:
-            log: takes the rows as they come.
-            progress: told the share done, from 0 to 1.
+        then says which limit, ``after`` what came of it, ``end`` how many rows there are. A log
+        takes the rows as they come.
 
         Raises:
             SimulationError: the numbers left the finite range.
@@ -415,14 +406,8 @@ class Session:
 
 class LiveLog:
     """The log of a running trial: what came until less than a second ago can be read, however the
-    process ends.
-
-    Args:
-        path: of the log.
-        channels: names, in the order of the log.
-        meta: the run's facts, as far as they are known.
-        attachments: files that travel with the log.
-        threaded: a thread writes, and the trial does not wait for the disk.
+    process ends. The facts in ``meta`` are those that are known; ``threaded``, a thread writes,
+    and the trial does not wait for the disk.
     """
 
     def __init__(

@@ -78,7 +78,11 @@ class Guard:
             Terminated, KeyboardInterrupt: the user ended the process.
             BaseException: whatever the code raised.
         """
-        leave, os._exit = os._exit, _no_exit
+
+        def no_exit(status: int = 0) -> None:
+            raise Exit(status)
+
+        leave, os._exit = os._exit, no_exit
         self._since = time.monotonic()
         try:
             return function(*given)
@@ -104,10 +108,6 @@ class Guard:
     def _look(self, *_: object) -> None:
         if self._since and time.monotonic() - self._since > self.longest:
             raise Overdue
-
-
-def _no_exit(status: int = 0) -> None:
-    raise Exit(status)
 
 
 def is_users(error: BaseException) -> bool:
@@ -228,7 +228,19 @@ class UserCode:
             self.beyond += 1
             np.clip(command, self.low, self.high, out=command)
         if self.noted:
-            self._note(self.telemetry[row, len(reference) :], t)
+            notes = self.telemetry[row, len(reference) :]
+            unlike = (AttributeError, TypeError, ValueError)
+            numbers = lambda: np.asarray(self.object.note, float).reshape(notes.shape)
+            try:
+                notes[:] = self.code.call(".note", numbers, t=t, passing=unlike)
+            except unlike:
+                text = message("trial.note_count", label=self.label, count=notes.size)
+                raise self.code.error(text) from None
+            for (name, quantity_row), value in zip(self.noted, notes.tolist(), strict=True):
+                if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
+                    fields = {key: getattr(quantity_row, key) for key in ("unit", "lower", "upper")}
+                    fields |= {"label": self.label, "name": name, "value": value, "t": t}
+                    raise self.code.error(message("trial.note_range", **fields))
 
     def _take(self, answer: Any, t: float, command: np.ndarray) -> None:
         """Write an answer of the class, a dict by valve or a row of volts, into ``command``."""
@@ -259,20 +271,6 @@ class UserCode:
         else:
             raise TypeError
         return ()
-
-    def _note(self, row: np.ndarray, t: float) -> None:
-        unlike = (AttributeError, TypeError, ValueError)
-        numbers = lambda: np.asarray(self.object.note, float).reshape(row.shape)
-        try:
-            row[:] = self.code.call(".note", numbers, t=t, passing=unlike)
-        except unlike:
-            text = message("trial.note_count", label=self.label, count=row.size)
-            raise self.code.error(text) from None
-        for (name, quantity_row), value in zip(self.noted, row.tolist(), strict=True):
-            if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
-                fields = {key: getattr(quantity_row, key) for key in ("unit", "lower", "upper")}
-                fields |= {"label": self.label, "name": name, "value": value, "t": t}
-                raise self.code.error(message("trial.note_range", **fields))
 
     def _seen(self, sample: np.ndarray) -> dict[str, float]:
         seen = sample.tolist()

@@ -776,9 +776,9 @@ def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
 
 def test_pictures_let_the_mechanism_pay_for_what_the_ledger_has_it_pay_for():
     from ehbench.ledger.sheet import MECHANICAL
-    from ehbench.report.figures.sankey import _leaf
+    from ehbench.report.figures.sankey import _Flow
 
     for word in (*MECHANICAL, "mechanism"):
         row = {"name": f"boom.{word}", "cylinder": "boom", "group": "loss", "energy": 1.0}
-        leaf = _leaf(row | {"label": word, "half": 0.0}, True)
+        leaf = _Flow.of(row | {"label": word, "half": 0.0}, True)
         assert leaf is not None and "mechanism" in (leaf.start, leaf.end), word

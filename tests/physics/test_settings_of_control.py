@@ -653,7 +653,7 @@ def postures(length, off=0.0):
     mover.model = Stub(rig=Stub(shown=lambda *_: ""))
     ends: Any = np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
     with answers(path, polish=polished, _tip_slope=lambda _, q: np.full((len(q), 1), off)):
-        refused = refusal(lambda: path._leg(mover, ends, np.zeros(1), 1))
+        refused = refusal(lambda: path.Mover.leg(mover, ends, np.zeros(1), 1))
     return counts, refused, len(before)
 
 

@@ -168,6 +168,6 @@ def sampled(model: Model, record: Record) -> dict[str, np.ndarray]:
     powers_at(states, commands, flows, tank, plant, sheet.owner, power)
     np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
     stored = Loads.of(record).stored(replace(model, plant=plant), t, states, sheet.stores)
-    names = [*(name for name, *_ in (*sheet.rows, *sheet.parts)), "residual"]
+    names = [name for name, *_ in sheet.every]
     table = sheet.expand(np.concatenate([spent, stored], axis=1))
     return dict(zip(names, table.T, strict=True))

@@ -416,7 +416,7 @@ def off_stamps(share):
     """Notes on 1000 rows that last so much longer than their stamps."""
     t = np.arange(1000) * 1e-3
     group: Any = Stub(t=(1.0 + share) * t, stamped=t, title="rows")
-    return len(channels._rate_note(group))
+    return len(rates.Group.wrong_rate(group))
 
 
 def twice(share):

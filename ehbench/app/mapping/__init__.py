@@ -75,12 +75,8 @@ class Draft:
 
 
 def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
-    """Look at a file and write a map of its columns with a picture of each.
-
-    Args:
-        path: the file.
-        out: the map to write; ``<name>.map.toml`` here if None.
-        rig: whose cylinders and valves the columns may be of.
+    """Look at a file and write a map of its columns, by default ``<name>.map.toml`` here, with a
+    picture of each; they may be of the cylinders and valves of a rig.
 
     Raises:
         InputError: something stands there already.
@@ -138,7 +134,15 @@ def _overview(
         wide = min(max(map(len, here), default=0), 40)
         for name in here:
             column, guess = table.columns[names[name][1]], guesses[name]
-            text = range_of(column) + _bad_text(column, rows[name], table)
+            own = rows[name]
+            bad = np.flatnonzero(~np.isfinite(column.values) & own)
+            text = message("app.bad_in_column", count=bad.size) if bad.size else ""
+            if (row := next((int(at) for at in bad if column.odd.get(int(at))), None)) is not None:
+                first = {"cell": remark(column.odd[row]), "where": _where(table, row)}
+                text += message("app.first_bad", **first)
+            if not own.all():
+                text = message("app.rows_of_a_rate", count=int(own.sum()), bad=text)
+            text = range_of(column) + text
             still = guess.channel == "t" or guess.channel.endswith(".command")
             seen = [] if still else oddities(column.values)
             odd = [item._asdict() | {"where": _where(table, item.first)} for item in seen]
@@ -163,16 +167,6 @@ def _guess_text(guess: Guess) -> str:
     unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
     reasons = ", ".join(filter(None, (guess.remark, *guess.why)))
     return f"{guess.channel or '?'}{unit}  {guess.certainty}{reasons and ': ' + reasons}"
-
-
-def _bad_text(column: SourceColumn, rows: np.ndarray, table: SourceTable) -> str:
-    """How many cells of a column hold no number, and in how many rows it stands."""
-    bad = np.flatnonzero(~np.isfinite(column.values) & rows)
-    text = message("app.bad_in_column", count=bad.size) if bad.size else ""
-    odd = next((int(row) for row in bad if column.odd.get(int(row))), None)
-    if odd is not None:
-        text += message("app.first_bad", cell=remark(column.odd[odd]), where=_where(table, odd))
-    return text if rows.all() else message("app.rows_of_a_rate", count=int(rows.sum()), bad=text)
 
 
 def _where(table: SourceTable, row: int) -> str:

@@ -71,7 +71,17 @@ class MappedColumn(FileModel):
             return _through(self.from_, self.to, self.unit or file_unit, row)
         unit = self.unit if self.unit is not None else file_unit
         scale, by = _split(self.scale)
-        slope, zero = (product(by, unit, row.unit), 0.0) if by else _factor_and_zero(unit, row)
+        if by:
+            slope, zero = product(by, unit, row.unit), 0.0
+        elif not unit.strip() and row.unit != "dimensionless":
+            raise UnitError(message("config.no_unit", name=row.name, display=row.display))
+        else:
+            try:
+                zero, item = (float(to_si(number, unit, row)) for number in (0.0, 1.0))
+            except UnitError as error:
+                hint = message("config.at_the_valve") if row.name == "command" else error.hint
+                raise UnitError(error.message, hint=hint) from None
+            slope = item - zero
         gain = self.sign * scale * slope
         neutral, of = _split(self.neutral)
         neutral *= factor(of, unit) if of and of != unit else 1.0
@@ -97,18 +107,6 @@ class MappedColumn(FileModel):
 
 def _split(given: float | str) -> tuple[float, str]:
     return split_number(given) if isinstance(given, str) else (float(given), "")
-
-
-def _factor_and_zero(unit: str, row: Quantity) -> tuple[float, float]:
-    """(factor, zero) of a unit into SI of a row."""
-    if not unit.strip() and row.unit != "dimensionless":
-        raise UnitError(message("config.no_unit", name=row.name, display=row.display))
-    try:
-        zero, item = (float(to_si(number, unit, row)) for number in (0.0, 1.0))
-    except UnitError as error:
-        hint = message("config.at_the_valve") if row.name == "command" else error.hint
-        raise UnitError(error.message, hint=hint) from None
-    return item - zero, zero
 
 
 def _through(

@@ -29,13 +29,8 @@ def check_record(
     lines: Sequence[int] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> None:
-    """Refuse data that no rig can have recorded.
-
-    Args:
-        record: what was read.
-        file: where it came from, for the message.
-        lines: the line of each sample in a text file.
-        units: the unit each channel was written in, for the message.
+    """Refuse data that no rig can have recorded; the message says the file that it came from, with
+    the line of a sample of text, in the unit that the channel was written in.
 
     Raises:
         LogError: no samples, a time or value that is not finite, a time that stands still or goes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 from zlib import crc32
 
 import numpy as np
@@ -45,8 +45,8 @@ SCATTERED = 8  # a pattern of messages that repeats less often is read message b
 
 @dataclass
 class Stream:
-    """One channel while reading: message layout, labels of its fields, and the values found, shape
-    (fields, room).
+    """One channel while reading: message layout, labels of its fields (field → ``boom.p_head
+    [Pa]``), and the values found, shape (fields, room).
     """
 
     topic: str
@@ -57,6 +57,45 @@ class Stream:
     size: int = 0
     sequences: list[np.ndarray] = field(default_factory=list)
     stamps: list[np.ndarray] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, schema: Schema | None, channel: Channel, size: int) -> Self | None:
+        """That of a channel in a file of so many bytes, None when it cannot be read.
+
+        CDR aligns each number to its own size, counted from the end of the four bytes that say
+        which CDR it is."""
+        if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
+            return None
+        names, offsets = ["#sequence", "#log_time", "#cdr"], [11, 15, 31]
+        formats: list[str | np.dtype] = ["<u4", "<u8", "<u4"]
+        labels: dict[str, str] = {}
+        end = 0
+        for text in schema.data.decode().splitlines():
+            code, _, comment = text.partition("#")
+            words = code.split()
+            if not words or "=" in code and words[0] in CDR_TYPES:
+                continue
+            if words[0] not in CDR_TYPES or len(words) < 2:
+                return None
+            kind = np.dtype(CDR_TYPES[words[0]])
+            end += -end % kind.itemsize
+            named = words[1] in channel.metadata
+            label = channel.metadata.get(words[1], comment.strip())
+            known = label.split("[")[0].strip().rpartition(".")[2] in VOCABULARY
+            if (known or named) and (known and named or LABEL.match(label)):
+                labels[words[1]] = label
+                names.append(words[1])
+                formats.append(kind)
+                offsets.append(HEAD_SIZE + end)
+            end += kind.itemsize
+        if all(label.split("[")[0].strip() == "t" for label in labels.values()):
+            return None
+        layout = np.dtype(
+            {"names": names, "formats": formats, "offsets": offsets, "itemsize": HEAD_SIZE + end}
+        )
+        # a guess that saves copies; pages never touched cost nothing
+        table = np.empty((len(labels), min(2 * size // layout.itemsize, 1 << 20)))
+        return cls(channel.topic, layout, labels, "ehbench" in channel.metadata, table)
 
     def add(self, messages: np.ndarray) -> None:
         """Append messages of this layout."""
@@ -221,6 +260,8 @@ class Salvage:
 
     def _body(self, body: bytes) -> None:
         """Read the records of a chunk: runs of equally laid out messages at a time."""
+        from mcap.records import Channel, Schema
+
         pos = 0
         while pos < len(body):
             opcode, length = struct.unpack_from("<BQ", body, pos)
@@ -228,32 +269,23 @@ class Salvage:
                 pos = self._run(body, pos)
                 continue
             raw = body[pos : pos + 9 + length]
-            if opcode in (SCHEMA, CHANNEL) and raw not in self._seen:
-                self._declare(opcode, raw[9:])
-                self._seen.add(raw)
             pos += 9 + length
-
-    def _declare(self, opcode: int, raw: bytes) -> None:
-        from mcap.records import Channel, Schema
-
-        if opcode == SCHEMA:
-            schema = unpack(Schema, raw)
-            self.schemas[schema.id] = schema
-            return
-        channel = unpack(Channel, raw)
-        schema = self.schemas.get(channel.schema_id)
-        fields = _fields(schema, channel)
-        if fields is None:
-            kind = f", {schema.name}" if schema else ""
-            encoding = channel.message_encoding or "no encoding"
-            self.unread[f"{channel.topic} ({encoding}{kind})"] = None
-            self.streams.pop(channel.id, None)
-        else:
-            layout, labels = fields
-            # a guess that saves copies; pages never touched cost nothing
-            room = min(2 * len(self.data) // layout.itemsize, 1 << 20)
-            numbered, table = "ehbench" in channel.metadata, np.empty((len(labels), room))
-            self.streams[channel.id] = Stream(channel.topic, layout, labels, numbered, table)
+            if raw in self._seen or opcode not in (SCHEMA, CHANNEL):
+                continue
+            if opcode == SCHEMA:
+                schema = unpack(Schema, raw[9:])
+                self.schemas[schema.id] = schema
+            else:
+                channel = unpack(Channel, raw[9:])
+                schema = self.schemas.get(channel.schema_id)
+                if (stream := Stream.of(schema, channel, len(self.data))) is not None:
+                    self.streams[channel.id] = stream
+                else:
+                    kind = f", {schema.name}" if schema else ""
+                    encoding = channel.message_encoding or "no encoding"
+                    self.unread[f"{channel.topic} ({encoding}{kind})"] = None
+                    self.streams.pop(channel.id, None)
+            self._seen.add(raw)
 
     def _run(self, body: bytes, pos: int) -> int:
         """Read messages from ``pos`` as long as one pattern of channels repeats; return where it
@@ -349,40 +381,3 @@ def _facts(data: bytes) -> dict[str, Any]:
     if not all(isinstance(text, str) for each in (*lists, meta.values()) for text in each):
         raise ValueError
     return facts
-
-
-def _fields(schema: Schema | None, channel: Channel) -> tuple[np.dtype, dict[str, str]] | None:
-    """The message layout and the labels (field → ``boom.p_head [Pa]``) of a channel, None when it
-    cannot be read.
-
-    CDR aligns each number to its own size, counted from the end of the four bytes that say which
-    CDR it is."""
-    if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
-        return None
-    names, offsets = ["#sequence", "#log_time", "#cdr"], [11, 15, 31]
-    formats: list[str | np.dtype] = ["<u4", "<u8", "<u4"]
-    labels: dict[str, str] = {}
-    end = 0
-    for text in schema.data.decode().splitlines():
-        code, _, comment = text.partition("#")
-        words = code.split()
-        if not words or "=" in code and words[0] in CDR_TYPES:
-            continue
-        if words[0] not in CDR_TYPES or len(words) < 2:
-            return None
-        kind = np.dtype(CDR_TYPES[words[0]])
-        end += -end % kind.itemsize
-        named = words[1] in channel.metadata
-        label = channel.metadata.get(words[1], comment.strip())
-        known = label.split("[")[0].strip().rpartition(".")[2] in VOCABULARY
-        if (known or named) and (known and named or LABEL.match(label)):
-            labels[words[1]] = label
-            names.append(words[1])
-            formats.append(kind)
-            offsets.append(HEAD_SIZE + end)
-        end += kind.itemsize
-    if all(label.split("[")[0].strip() == "t" for label in labels.values()):
-        return None
-    return np.dtype(
-        {"names": names, "formats": formats, "offsets": offsets, "itemsize": HEAD_SIZE + end}
-    ), labels

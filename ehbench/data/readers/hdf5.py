@@ -3,20 +3,17 @@ numbers, a table for those of one group and length."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 from ehbench.data.readers.cf import converted, since
-from ehbench.data.readers.table import Dialect, Gathered, Source
+from ehbench.data.readers.table import Dialect, Gathered, Source, unit_of_attributes
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
-
-_UNITS = ("unit", "units", "Unit", "Units", "UNIT", "UNITS")
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -37,7 +34,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 losses.append(message(key, name=name))
                 continue
             place, _, last = name.rpartition("/")
-            values, unit = None, _unit_of_attributes(item.attrs)
+            values, unit = None, unit_of_attributes(item.attrs)
             words = h5py.check_enum_dtype(item.dtype) or "MATLAB_empty" in item.attrs
             words = words or item.attrs.get("MATLAB_class") == b"char"
             if item.size and item.dtype.kind in "fiubV" and not words:
@@ -72,13 +69,3 @@ def _data_sets(
             yield name, item
         elif isinstance(item, h5py.Group):
             yield from _data_sets(item, f"{name}/", seen, losses)
-
-
-def _unit_of_attributes(attributes: Mapping[str, Any]) -> str:
-    """The unit that a data set says it is in."""
-    for key in _UNITS:
-        value = attributes.get(key)
-        if value is not None and np.size(value) == 1:
-            item = np.asarray(value).ravel()[0]
-            return item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
-    return ""

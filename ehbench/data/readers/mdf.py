@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from asammdf import MDF
@@ -24,11 +25,25 @@ _RATIONAL, _RANGES = {3: 9, 4: 2}, {3: -1, 4: 6}
 
 
 def read(path: Path, dialect: Dialect) -> Source:
-    """The groups of a measurement."""
+    """The groups of a measurement.
+
+    Raises:
+        LogError: a damaged file with a channel outside the records of its group.
+    """
     with MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
         refuse_beyond(16.0 * sum(sizes), "reading it")
-        _refuse_outside(file)
+        groups: list[Any] = file.groups
+        for group in groups:  # asammdf reads and writes beyond the records, and dies
+            head = group.channel_group
+            room = 8 * (head.samples_byte_nr + getattr(head, "invalidation_bytes_nr", 0))
+            for channel in group.channels:
+                if _version(channel) == 4:
+                    begin = 8 * channel.byte_offset + channel.bit_offset
+                else:
+                    begin = 8 * channel.additional_byte_offset + channel.start_offset
+                if begin + channel.bit_count > room:
+                    raise LogError(message("data.channel_outside_records", name=channel.name))
         began = file.start_time.timestamp() if file.start_time else None
         tables, losses = [], []
         for index, group in enumerate(file.groups):
@@ -42,25 +57,6 @@ def read(path: Path, dialect: Dialect) -> Source:
     names = column_names([table.name for table in tables])
     tables = [replace(table, name=name) for name, table in zip(names, tables)]
     return Source(tuple(tables), losses=tuple(losses))
-
-
-def _refuse_outside(file) -> None:
-    """Refuse a damaged file with a channel outside the records of its group: asammdf reads and
-    writes memory there, and the process dies.
-
-    Raises:
-        LogError: there is such a channel.
-    """
-    for group in file.groups:
-        head = group.channel_group
-        room = 8 * (head.samples_byte_nr + getattr(head, "invalidation_bytes_nr", 0))
-        for channel in group.channels:
-            if _version(channel) == 4:
-                begin = 8 * channel.byte_offset + channel.bit_offset
-            else:
-                begin = 8 * channel.additional_byte_offset + channel.start_offset
-            if begin + channel.bit_count > room:
-                raise LogError(message("data.channel_outside_records", name=channel.name))
 
 
 def _has_formula(conversion, depth: int = DEPTH) -> bool:

@@ -8,11 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ehbench.data.readers.table import Dialect, Gathered, Source
+from ehbench.data.readers.table import Dialect, Gathered, Source, unit_of_attributes
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
-
-_UNITS = (b"unit", b"units", b"Unit", b"Units")
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -27,8 +25,8 @@ def read(path: Path, dialect: Dialect) -> Source:
         if values is None:
             gathered.losses.append(message("data.not_read", name=field.name))
             continue
-        unit = next((about[key] for key in _UNITS if key in about), b"")
-        gathered.add("", field.name, values, unit.decode("utf-8", "replace"))
+        unit = unit_of_attributes({key.decode("utf-8", "replace"): about[key] for key in about})
+        gathered.add("", field.name, values, unit)
     return Source(gathered.tables(), losses=tuple(gathered.losses))
 
 

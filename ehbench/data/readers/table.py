@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,16 @@ def unit_in(name: str) -> str:
             return unit
     result = _QUOTIENT.search(name)
     return named_unit(result[2]) if result and not named_unit(result[1]) else ""
+
+
+def unit_of_attributes(attributes: Mapping[str, Any]) -> str:
+    """The unit that what stands beside a column says that it is in; '' of none."""
+    for key in ("unit", "units", "Unit", "Units", "UNIT", "UNITS"):
+        value = attributes.get(key)
+        if value is not None and np.size(value) == 1:
+            item = np.asarray(value).ravel()[0]
+            return item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from nptdms import TdmsFile
@@ -19,7 +19,32 @@ from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
-_Base = tuple[str, int, float, float, float | None]  # group, rows, increment, offset, began
+
+
+class _Base(NamedTuple):
+    """A time base: the group that has it, how many rows, [s] their increment, the first, and the
+    wall clock of zero."""
+
+    group: str
+    rows: int
+    increment: float
+    offset: float
+    began: float | None
+
+    @classmethod
+    def of(cls, channel: Any) -> Self:
+        """That of a channel."""
+        properties = channel.properties
+        increment = float(properties.get("wf_increment", 0.0) or 0.0)
+        if properties.get("wf_xunit_string", "s") not in ("s", "sec", "seconds", ""):
+            increment = 0.0  # rows of a spectrum
+        start = properties.get("wf_start_time")
+        began = None
+        if start is not None and increment > 0.0:
+            began = float(np.datetime64(start, "ns").astype(np.int64)) / 1e9
+            began = began if began > 0.0 else None  # LabVIEW's zero is in 1904: it says nothing
+        offset = float(properties.get("wf_start_offset", 0.0) or 0.0)
+        return cls(channel.group_name, len(channel), increment, offset, began)
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -44,7 +69,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 losses.append(message("data.not_converted", name=name, reason=reason))
                 continue
             unit = str(channel.properties.get("unit_string", "") or "")
-            base = _base(channel)
+            base = _Base.of(channel)
             if values.dtype.kind == "M":
                 seconds, began = moments(values)
                 moved[channel.group_name] = began or 0.0
@@ -84,18 +109,3 @@ def _unknown_scale(*properties: Mapping[str, Any]) -> str:
         if kinds and content.get("NI_Scaling_Status") != "scaled":
             return "" if get_scaling(content, {}, {}) else ", ".join(kinds)
     return ""
-
-
-def _base(channel: Any) -> _Base:
-    """What tells the time base of a channel."""
-    properties = channel.properties
-    increment = float(properties.get("wf_increment", 0.0) or 0.0)
-    if properties.get("wf_xunit_string", "s") not in ("s", "sec", "seconds", ""):
-        increment = 0.0  # rows of a spectrum
-    start = properties.get("wf_start_time")
-    began = None
-    if start is not None and increment > 0.0:
-        began = float(np.datetime64(start, "ns").astype(np.int64)) / 1e9
-        began = began if began > 0.0 else None  # LabVIEW's zero is in 1904: it says nothing
-    offset = float(properties.get("wf_start_offset", 0.0) or 0.0)
-    return channel.group_name, len(channel), increment, offset, began

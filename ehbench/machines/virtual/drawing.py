@@ -170,6 +170,15 @@ def build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     of = _Seeded(recipe, model, recipe.seed, float(model.rig.supply.pressure))
     edges, curves = _edges(of)
     valves, elements = _valves(of, edges, curves)
+    fluid = table(1, FLUID)[0]
+    fluid.air, fluid.polytropic = _air(of)
+    fluid.droop = 0.03 * of.p_supply if recipe.droop is None else float(recipe.droop)
+    fluid.pump_lag = float(recipe.pump_lag)
+    relief = math.inf if model.rig.supply.accumulator is not None else 1.15 * of.p_supply
+    fluid.supply_relief = relief if recipe.supply_relief is None else float(recipe.supply_relief)
+    if fluid.pump_lag > 0.0 and fluid.droop == 0.0:
+        hint = "give droop, or pump_lag = '0 s' for an ideal one"
+        raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)
     ticks = float(recipe.delay) / tick
     omega, zeta = 2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping)
     return VirtualPlant(
@@ -185,7 +194,7 @@ def build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
         supply=plant.supply,
         forces=plant.forces,
         lines=_lines(of),
-        fluid=_fluid(of),
+        fluid=fluid,
         sensors=_sensors(of),
         delay=math.floor(ticks),
         share=ticks - math.floor(ticks),
@@ -315,19 +324,6 @@ def _air(of: _Seeded) -> tuple[float, float]:
         for key in ("air_fraction", "polytropic_exponent")
     )
     return float(share or recipe.air_fraction), float(exponent or recipe.polytropic_exponent)
-
-
-def _fluid(of: _Seeded) -> np.record:
-    recipe, row = of.recipe, table(1, FLUID)[0]
-    row.air, row.polytropic = _air(of)
-    row.droop = 0.03 * of.p_supply if recipe.droop is None else float(recipe.droop)
-    row.pump_lag = float(recipe.pump_lag)
-    relief = math.inf if of.model.rig.supply.accumulator is not None else 1.15 * of.p_supply
-    row.supply_relief = relief if recipe.supply_relief is None else float(recipe.supply_relief)
-    if row.pump_lag > 0.0 and row.droop == 0.0:
-        hint = "give droop, or pump_lag = '0 s' for an ideal one"
-        raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)
-    return row
 
 
 PERFECT = (0.0, 0.0, 0.0, 0.0)  # lag, noise, resolution and zero offset of a perfect sensor

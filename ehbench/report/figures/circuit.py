@@ -51,9 +51,19 @@ def circuit(path: Path, function: Table) -> None:
 
 def _draw_edge(ax, edge: Table, nth: int) -> None:
     """The ``nth`` pipe between two nodes with its valve, an arrow along its flow."""
-    is_open = bool(edge["way"])
+    is_open, ends = bool(edge["way"]), edge["ends"]
     colour = MUTED if not is_open else ACCENT if edge["meters"] else SIMULATED
-    points = _pipe(edge["ends"], nth)
+    if set(ends) == set(_PORTS):
+        first, last = (_PORTS[end] for end in ends)
+        near, far = (x + (0.5 if x < _SIZE[0] / 2 else -0.5) for x, _ in (first, last))
+        top, low = first[1], first[1] - 0.75 - nth * 0.9
+        points = [first, (near, top), (near, low), (far, low), (far, top), last]
+    else:
+        port, rail = sorted(ends, key=lambda end: end not in _PORTS)
+        outward = -1.0 if port == "head" else 1.0
+        x = _PORTS[port][0] + outward * ((0.0 if rail == "tank" else 2.0) - 0.6 * nth)
+        points = [_PORTS[port], (x, _PORTS[port][1]), (x, _RAILS[rail])]
+        points = points if ends[0] == port else points[::-1]
     xs, ys = zip(*points, strict=True)
     if is_open:
         ax.plot(xs, ys, color="white", linewidth=5.0, zorder=2)
@@ -83,21 +93,6 @@ def _draw_edge(ax, edge: Table, nth: int) -> None:
             for s in (0.7, 0.92)
         )
         _draw_arrow(ax, near, far, colour)
-
-
-def _pipe(ends: tuple[str, str], nth: int) -> list[Place]:
-    """The corners of an edge's pipe, the ``nth`` between its two nodes."""
-    if set(ends) == set(_PORTS):
-        first, last = (_PORTS[end] for end in ends)
-        near, far = (x + (0.5 if x < _SIZE[0] / 2 else -0.5) for x, _ in (first, last))
-        top, low = first[1], first[1] - 0.75 - nth * 0.9
-        return [first, (near, top), (near, low), (far, low), (far, top), last]
-    port = next(end for end in ends if end in _PORTS)
-    rail = next(end for end in ends if end not in _PORTS)
-    outward = -1.0 if port == "head" else 1.0
-    x = _PORTS[port][0] + outward * ((0.0 if rail == "tank" else 2.0) - 0.6 * nth)
-    points = [_PORTS[port], (x, _PORTS[port][1]), (x, _RAILS[rail])]
-    return points if ends[0] == port else points[::-1]
 
 
 def _draw_box(ax, corner: Place, width: float, height: float, **look) -> None:

@@ -75,13 +75,8 @@ def bars(
     ledgers: Sequence[tuple[str, Ledger]],
     bounds: Sequence[Sequence[Mapping[str, Any]]],
 ) -> None:
-    """A stacked bar a trial: what its energy went into; what was given back lies left of zero.
-
-    Args:
-        path: of the SVG.
-        ledgers: (title of the trial, its ledger).
-        bounds: for each trial the bounds of its cylinders (``Bounds.as_json``), drawn as marks on
-            the bar; empty for none.
+    """A stacked bar a trial, by its title and ledger: what its energy went into; what was given
+    back lies left of zero. The bounds of its cylinders (``Bounds.as_json``) are marks on the bar.
     """
     unit = unit_for([ledger for _, ledger in ledgers])
     stacks = []

@@ -4,13 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from ehbench.report.figures.energy import Ledger, energy_text, half_of, unit_for
 from ehbench.report.saved import grouped
 from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, spread, swatch
+from ehbench.vocabulary.terms import MECHANICAL
 
 # colour and name of each group of rows
 GROUPS = {
@@ -25,10 +26,6 @@ SUPPLY, MECHANISM = "supply", "mechanism"
 _COLOURS = {SUPPLY: GROUPS["supply"][0], MECHANISM: GROUPS["load"][0]}  # of nodes
 _BAR, _END = 0.022, 0.92  # width of a node, and where the leaves are
 _SMALL = 0.012  # share of all energy below which a row is drawn together with others
-_MECHANICAL = (
-    *("friction", "friction_spring", "end_stop", "stop", "load_spring", "damping"),
-    *("mount", "mount_spring", "sway", "swaying", "mechanism"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +38,30 @@ class _Flow:
     group: str
     label: str = ""
     half: float | None = None
+
+    @classmethod
+    def of(cls, row: Any, several: bool) -> Self | None:
+        """That of a row, which ends or begins outside; None of a row that is a sum of others."""
+        cylinder = row["cylinder"]
+        group, label, word = row["group"], row["label"], row["name"].rsplit(".", 1)[-1]
+        if group in ("cylinder", "residual"):
+            return None
+        node = cylinder
+        if group == "load" or word in (*MECHANICAL, "mechanism"):
+            node = MECHANISM
+        elif node is None or word == "supply_line":
+            node = SUPPLY
+        if node == SUPPLY and group == "supply":
+            label = word.replace("_", " ")
+        elif group == "part":  # of what is not accounted for
+            place = f"oil of {node}" if node == cylinder else node
+            group, label = "residual", f"{label.partition(',')[0]}, {place}"
+        elif several and cylinder is not None:
+            label = f"{cylinder}: {label}"
+        # a supply gives what is positive, all others take it
+        enters = (row["energy"] >= 0.0) == (group == "supply")
+        ends = (None, node) if enters else (node, None)
+        return cls(*ends, abs(row["energy"]), group, label, half_of(row))
 
 
 def _given(ledger: Ledger) -> float:
@@ -76,7 +97,7 @@ def _ribbons(ledger: Ledger, small: float) -> list[_Flow]:
     ]
     busy = busy or list(works)[:1]
     several = len(busy) > 1  # then labels say of which cylinder they are
-    leaves = [_leaf(row, several) for row in rows if row["cylinder"] in (None, *busy)]
+    leaves = [_Flow.of(row, several) for row in rows if row["cylinder"] in (None, *busy)]
     flows = [flow for flow in leaves if flow is not None and flow.energy > 0.0]
     drives = sum(works.values()) < 0.0
     for cylinder in busy:
@@ -97,30 +118,6 @@ def _ribbons(ledger: Ledger, small: float) -> list[_Flow]:
             label = label if pushes else f"load on {cylinder}"
             flows.append(_Flow(None, end, work, "load", label))
     return flows
-
-
-def _leaf(row: Any, several: bool) -> _Flow | None:
-    """The ribbon of a row that ends or begins outside; None of a row that is a sum of others."""
-    cylinder = row["cylinder"]
-    group, label, word = row["group"], row["label"], row["name"].rsplit(".", 1)[-1]
-    if group in ("cylinder", "residual"):
-        return None
-    node = cylinder
-    if group == "load" or word in _MECHANICAL:
-        node = MECHANISM
-    elif node is None or word == "supply_line":
-        node = SUPPLY
-    if node == SUPPLY and group == "supply":
-        label = word.replace("_", " ")
-    elif group == "part":  # of what is not accounted for
-        place = f"oil of {node}" if node == cylinder else node
-        group, label = "residual", f"{label.partition(',')[0]}, {place}"
-    elif several and cylinder is not None:
-        label = f"{cylinder}: {label}"
-    # a supply gives what is positive, all others take it
-    enters = (row["energy"] >= 0.0) == (group == "supply")
-    ends = (None, node) if enters else (node, None)
-    return _Flow(*ends, abs(row["energy"]), group, label, half_of(row))
 
 
 def _gathered(flows: Sequence[_Flow], small: float) -> list[_Flow]:

@@ -247,11 +247,21 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
         for place, (ax, word) in enumerate(zip(axes.flat, learnt, strict=False)):
             name, height = f"{case.cylinder}.{word}", 0.24
             if word == "payload_estimate":
-                _measured_payload(ax, rig, record, case.cylinder)
                 height = 0.68  # clear of the lines
+                seen = [f"{case.cylinder}.payload_{end}" for end in ("low", "high", "measured")]
+                if all(channel in record for channel in seen):  # its interval, and itself
+                    ends = (thin(record.t, shown(rig, name, record[name])) for name in seen[:2])
+                    (low_t, low), (high_t, high) = ends
+                    t = np.union1d(low_t, high_t)
+                    low, high = np.interp(t, low_t, low), np.interp(t, high_t, high)
+                    band: Look = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0}
+                    ax.fill_between(t, low, high, label="its interval", **band)
+                    look: Look = {"color": SIMULATED, "linewidth": 1.0}
+                    look["label"] = "by pressures and motion"
+                    plot_channel(ax, rig, record, seen[2], **look)
             oil = record.channels.get(f"{case.cylinder}.bulk_measured", np.zeros(1))
             if word == "inverse_bulk" and np.ptp(oil) > 0.0:
-                look: Look = {"color": SIMULATED, "linewidth": 1.0}
+                look = {"color": SIMULATED, "linewidth": 1.0}
                 share = oil[0] / oil  # at the first tick it is the design's
                 ax.plot(*thin(record.t, share), label="by pressures and flows", **look)
             plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
@@ -277,20 +287,6 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
             if place + 2 >= len(learnt):
                 ax.tick_params(labelbottom=True)
                 ax.set_xlabel("time [s]")
-
-
-def _measured_payload(ax, rig: Rig, record: Record, cylinder: str) -> None:
-    """The payload that pressures and motion show, in its interval, where the log has it."""
-    names = [f"{cylinder}.payload_{word}" for word in ("low", "high", "measured")]
-    if not all(name in record for name in names):
-        return
-    ends = (thin(record.t, shown(rig, name, record[name])) for name in names[:2])
-    (low_t, low), (high_t, high) = ends
-    t = np.union1d(low_t, high_t)
-    band: Look = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0, "label": "its interval"}
-    ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
-    look: Look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
-    plot_channel(ax, rig, record, names[2], **look)
 
 
 def tip(path: Path, rig: Rig, case: Case, record: Record) -> None:

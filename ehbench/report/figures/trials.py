@@ -164,14 +164,8 @@ def energy_map(
     speeds: Sequence[str],
     unit: str,
 ) -> None:
-    """Cells of load × speed: the energy, and in per cent how far it lies above the least that any
-    controller takes there, which is its shade.
-
-    Args:
-        path: of the SVG.
-        panels: (controller, energies as shown, shape (loads, speeds), NaN where there is none).
-        loads, speeds: what rows and columns are of.
-        unit: of the energies.
+    """For each controller its energies as shown, shape (loads, speeds), NaN where there is none:
+    in per cent how far each lies above the least that any takes there, which is its shade.
     """
     minimum = np.fmin.reduce([energies for _, energies in panels])
     rows, darkest = math.ceil(len(panels) / 2), 1.0  # the share above the least that is darkest

@@ -37,18 +37,18 @@ SECTIONS: dict[str, StageReport] = {
 
 
 def report_of(run: Saved) -> StageReport:
-    """How a run is drawn and reported; one of a kind this version does not know by its files."""
-    unknown = StageReport(words(run.stage), _files_section)
-    return SECTIONS.get(run.what, unknown)
+    """How a run is drawn and reported; one of a kind this version does not know by its figures and
+    files.
+    """
+
+    def section(run: Saved, pictures: Pictures) -> SectionContent:
+        files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]
+        parts = [Part("Results", [*pictures(), Grid(["file"], files)])]
+        return SectionContent("done", f"{plural(len(files), 'file')}.", parts)
+
+    return SECTIONS.get(run.what, StageReport(words(run.stage), section))
 
 
 def place_of(run: Saved) -> int:
     """The place of a run on the page; unknown kinds come last."""
     return [*SECTIONS, run.what].index(run.what)
-
-
-def _files_section(run: Saved, pictures: Pictures) -> SectionContent:
-    """Its figures and its files."""
-    files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]
-    parts = [Part("Results", [*pictures(), Grid(["file"], files)])]
-    return SectionContent("done", f"{plural(len(files), 'file')}.", parts)

@@ -49,12 +49,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 
 def bode(path: Path, columns: dict[str, np.ndarray], table: Table, unit: str) -> None:
-    """Gain, phase and coherence over frequency.
-
-    Args:
-        columns: of ``response.csv``, the gain in ``unit``.
-        table: of ``response.json``.
-    """
+    """Gain [``unit``], phase and coherence over frequency, of ``response.csv`` and ``.json``."""
     frequency, coherent = columns["frequency"], columns["coherent"] > 0.5
     others = np.isfinite(columns["phase_low"]) & ~coherent
     with canvas(path, 3, 1, (7.2, 6.4), sharex=True, height_ratios=(3, 3, 1.6)) as (_, axes):

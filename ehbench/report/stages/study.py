@@ -223,10 +223,18 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     ]
     measures = [(place, _label(measure)) for place, measure in enumerate(study["measures"])]
     worst = page.table("worst", study["worst"], inputs=inputs, measures=measures)
+    by_values: list[Block] = []
+    if 0 < len(study["groups"]) <= 60:  # a row each combination of listed values
+        ways = [(", median", "median"), (", 95 %", "q95"), (", maximum", "maximum")]
+        ways = ways if study["points"] > 1 else [("", "median")]
+        of_ways = [(n, f"{label}{text}", key) for n, label in measures for text, key in ways]
+        keys = [item["key"] for item in study["inputs"] if item["values"]]
+        fields = {"keys": keys, "measures": of_ways, "study": study, "text": page.text}
+        by_values.append(page.table("groups", study["groups"], **fields))
     parts = [
         Part("Results", results),
         Part("By case", _case_tables(run, page, study)),
-        Part("By swept values", [*_group_tables(page, study), *pictures(kind="map")]),
+        Part("By swept values", [*by_values, *pictures(kind="map")]),
         Part("Spread", [*pictures(kind="spread")]),
         Part("What moves them", [*moves, *pictures(kind="moves")]),
         Part("The worst", [*[worst] * bool(worst.rows), *pictures(kind="over")]),
@@ -260,23 +268,6 @@ def _case_tables(run: Saved, page: Template, study: Table) -> list[Block]:
         for way in ("median", "maximum")
     ]
     return [page.table("cases", rows, measures=ways)]
-
-
-def _group_tables(page: Template, study: Table) -> list[Block]:
-    """Medians and upper quantiles of each combination of listed values, of up to 60."""
-    groups = study["groups"]
-    if not groups or len(groups) > 60:
-        return []
-    ways = [(", median", "median"), (", 95 %", "q95"), (", maximum", "maximum")]
-    ways = ways if study["points"] > 1 else [("", "median")]
-    measures = [
-        (place, f"{_label(measure)}{text}", key)
-        for place, measure in enumerate(study["measures"])
-        for text, key in ways
-    ]
-    keys = [item["key"] for item in study["inputs"] if item["values"]]
-    fields = {"keys": keys, "measures": measures, "study": study, "text": page.text}
-    return [page.table("groups", groups, **fields)]
 
 
 def findings(run: Saved) -> Findings:

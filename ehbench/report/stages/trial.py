@@ -177,7 +177,18 @@ def trials_findings(run: Saved) -> Findings:
         for case in cases
         if case.row.get("stopped")
     ]
-    numbers = [*_tracked(rig, cases), *_saved(page, cases), *_damped(page, cases)]
+    numbers = [*_tracked(rig, cases), *_saved(page, cases)]
+    ratios = {
+        law: [ratio for case in group for ratio, _ in map(damping, case.steps) if ratio is not None]
+        for law, group in by_controller([case for case in cases if case.fit]).items()
+    }
+    ratios = {law: values for law, values in ratios.items() if values}
+    if ratios:  # of steps under the best damped controller, and under the least damped
+        best, worst = (pick(ratios, key=lambda law: min(ratios[law])) for pick in (max, min))
+        fields = {"best": best, "worst": worst, "ratios": ratios[worst], "on": cases[0].row["on"]}
+        about, value = page.text("damped", **fields), span(ratios[best], 2)
+        label = "Damping ratio of steps"
+        numbers.append(Headline(STEPS, label, value, about, _modelled(cases)))
     figures = [{"kind": kind} for kind in ("energy", "compare", "trial")]
     steps = [message("steps.stopped", **names(run))] if against else []
     steps += [message("steps.on_machine")] * (bool(cases) and _modelled(cases))
@@ -229,21 +240,6 @@ def _saved(page: Template, cases: Sequence[Case]) -> list[Headline]:
     value = f"{span([100.0 * share(item) for item in group], 2)} %"
     on_model = _modelled([item.case for item in group])
     return [Headline(SAVED, "Pump energy saved", value, page.text("saved", **fields), on_model)]
-
-
-def _damped(page: Template, cases: Sequence[Case]) -> list[Headline]:
-    """The damping ratio of steps under the best damped controller, and under the least damped."""
-    ratios = {
-        law: [ratio for case in group for ratio, _ in map(damping, case.steps) if ratio is not None]
-        for law, group in by_controller([case for case in cases if case.fit]).items()
-    }
-    ratios = {law: values for law, values in ratios.items() if values}
-    if not ratios:
-        return []
-    best, worst = (pick(ratios, key=lambda law: min(ratios[law])) for pick in (max, min))
-    fields = {"best": best, "worst": worst, "ratios": ratios[worst], "on": cases[0].row["on"]}
-    about, value = page.text("damped", **fields), span(ratios[best], 2)
-    return [Headline(STEPS, "Damping ratio of steps", value, about, _modelled(cases))]
 
 
 def _modelled(cases: Sequence[Case]) -> bool:

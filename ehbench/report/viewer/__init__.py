@@ -53,6 +53,33 @@ class Sheet:
     curves: tuple[Curve, ...]
     still: tuple[str, ...] = field(default=())
 
+    def as_json(self, sheets: int) -> dict[str, Any]:
+        """As a page of so many sheets reads it: panels by unit, arrays as base64 of little-endian
+        numbers.
+        """
+        maximum = max(MOST // (sheets * len(self.curves)), 2000)
+        panels: dict[str, list[dict[str, Any]]] = {}
+        axes: dict[tuple[int, int, int], int] = {}
+        xs: list[str] = []
+        for curve in self.curves:
+            x, y = extremes(curve.x, curve.y, maximum)
+            key = (id(curve.x), x.size, curve.of)
+            if key not in axes:
+                axes[key] = len(xs)
+                xs.append(_packed(x, "<f8"))
+            shape = {"name": curve.name, "of": curve.of, "x": axes[key], "dots": curve.dots}
+            panels.setdefault(curve.unit, []).append(shape | {"y": _packed(y, "<f4")})
+        titled = []
+        for unit, curves in panels.items():
+            # what a panel shows, with its unit: ``Head-end pressure, rod-end pressure [kPa]``
+            whats = [curve.what for curve in self.curves if curve.unit == unit and curve.what]
+            named = [what.lower() for what in dict.fromkeys(whats)]
+            label = capital(", ".join(named[:3]) + ", …" * (len(named) > 3))
+            title = f"{label} [{unit}]" if unit else label
+            titled.append({"title": title, "curves": curves})
+        about = {"title": self.title, "across": self.across}
+        return about | {"still": list(dict.fromkeys(self.still)), "xs": xs, "panels": titled}
+
 
 def unsupported_runs(sources: Sequence[Path]) -> list[str]:
     """What no longer supports the run folders among some sources."""
@@ -66,13 +93,9 @@ def page(
     changes: Sequence[str] = (),
     losses: dict[str, Sequence[str]] | None = None,
 ) -> str:
-    """The page of one or two logs, maps or runs; sheets of one name lie over one another.
-
-    Args:
-        sources: the files and folders.
-        columns: a map of the columns of logs by others.
-        changes: of `unsupported_runs`.
-        losses: where the notes on what a log lost are added, by its name.
+    """The page of one or two logs, maps or runs; sheets of one name lie over one another. A map of
+    ``columns`` is that of logs by others, ``changes`` are those of `unsupported_runs`; notes on
+    what a log lost are added to ``losses``, by its name.
 
     Raises:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
@@ -105,7 +128,7 @@ def page(
         raise InputError(message("report.nothing_changes"), file=sources[0])
     changes = [message("report.unsupported", change=change) for change in changes]
     notes = [note for name, every in losses.items() for note in noted_losses(name, every)[0]]
-    return _render(names, [_data(sheet, len(drawn)) for sheet in drawn], [*changes, *notes])
+    return _render(names, [sheet.as_json(len(drawn)) for sheet in drawn], [*changes, *notes])
 
 
 def _run_sheets(folder: Path, of: int) -> Iterator[Sheet]:
@@ -159,32 +182,6 @@ def _map(item: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) 
         curves.append(Curve("readings", flow, x, y, of, dots=True, what="flow"))
     title, across = f"{item.valve}, {item.direction}", f"pressure drop [{drops}]"
     return Sheet(title, across, tuple(curves))
-
-
-def _data(sheet: Sheet, sheets: int) -> dict[str, Any]:
-    """A sheet as the page reads it: panels by unit, arrays as base64 of little-endian numbers."""
-    maximum = max(MOST // (sheets * len(sheet.curves)), 2000)
-    panels: dict[str, list[dict[str, Any]]] = {}
-    axes: dict[tuple[int, int, int], int] = {}
-    xs: list[str] = []
-    for curve in sheet.curves:
-        x, y = extremes(curve.x, curve.y, maximum)
-        key = (id(curve.x), x.size, curve.of)
-        if key not in axes:
-            axes[key] = len(xs)
-            xs.append(_packed(x, "<f8"))
-        shape = {"name": curve.name, "of": curve.of, "x": axes[key], "dots": curve.dots}
-        panels.setdefault(curve.unit, []).append(shape | {"y": _packed(y, "<f4")})
-    titled = []
-    for unit, curves in panels.items():
-        # what a panel shows, with its unit: ``Head-end pressure, rod-end pressure [kPa]``
-        whats = [curve.what for curve in sheet.curves if curve.unit == unit and curve.what]
-        named = [what.lower() for what in dict.fromkeys(whats)]
-        label = capital(", ".join(named[:3]) + ", …" * (len(named) > 3))
-        title = f"{label} [{unit}]" if unit else label
-        titled.append({"title": title, "curves": curves})
-    about = {"title": sheet.title, "across": sheet.across}
-    return about | {"still": list(dict.fromkeys(sheet.still)), "xs": xs, "panels": titled}
 
 
 def _packed(values: np.ndarray, kind: str) -> str:
