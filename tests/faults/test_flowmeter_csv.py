@@ -190,13 +190,6 @@ def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
     assert not about(fit_rows(write, [*rows, again, rows[0]]), "repeat")
 
 
-@pytest.mark.parametrize("scale", [60.0, 1 / 60000])
-def test_flows_that_no_supply_gives_are_told(write, scale):
-    assert not about(fit_rows(write, servo_rows("supply->head", 1)), "")
-    (said,) = about(fit_rows(write, servo_rows("supply->head", 1, scale=scale)), "check the unit")
-    assert "supply's limit of 60 L/min" in said
-
-
 def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
     rows = servo_rows("supply->head", 1)
     cells = rows[-1].split(",")

@@ -482,12 +482,6 @@ def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
         assert refused(says, work).line == line
 
 
-@pytest.mark.parametrize("count", [0, -1, True, 2.0, "every"])
-def test_what_is_no_count_of_samples_is_refused(count):
-    work = lambda: identify(rig(), [("log", crane())], CRANE, decimate=count)
-    assert refused("identification.no_count", work).fields["given"] == repr(count)
-
-
 def test_a_cutoff_above_half_the_rate_is_refused():
     work = lambda: identify(rig(), [("log", crane())], CRANE, cutoff=500.0)
     assert refused("identification.high_cutoff", work).fields["half"] == pytest.approx(500.0)

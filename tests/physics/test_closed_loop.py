@@ -382,9 +382,7 @@ HEARD = "assert [n for n, v in sample.items() if v == v] == ['boom.p_head']"
 @pytest.mark.parametrize(
     ("answer", "key", "more"),
     [
-        ("[1.0]", "no_commands", {}),
         ("3.0", "no_commands", {}),  # not spread over seven valves
-        ("{'boom.hepc': None}", "command_not_finite", {}),
         ("{'boom.regen': 1.0}", "unknown_command", {}),
         # a channel that is not named is NaN
         (
@@ -428,23 +426,6 @@ def test_full_speed_is_what_pump_and_valves_give():
     record, _ = run_trial(rig, TrialRecipe(stage="trial", rig="x", **given))
     # friction and damping, which are no load at rest, take a few per cent
     assert 0.9 * speed < record["press.v"][-1] < speed
-
-
-def test_pressure_feedback_damps_the_steps_of_the_open_loop():
-    motion = {"kind": "velocity_steps", "cylinder": "boom", "travel": "90 mm"}
-    motion["levels"] = ["30 %", "-30 %"]
-    found = []
-    for law in (OPEN, FEEDBACK):
-        _, facts = moved(law, motion=motion, posture={"boom": "60 mm"}, payload="50 lb")
-        steps = facts.measures["steps"]
-        found.append(steps)
-        assert [s["speed"] for s in steps] == pytest.approx([0.0747, -0.0737], rel=0.01)
-        assert [s["share"] for s in steps] == [0.3, -0.3]
-    for plain, fed in zip(*found, strict=True):
-        assert plain["overshoot"] > 0.3 and fed["overshoot"] < 0.75 * plain["overshoot"]
-        assert plain["damping_ratio"] < 0.15
-        assert fed["damping_ratio"] is None or fed["damping_ratio"] > 2 * plain["damping_ratio"]
-        assert fed["settling_time"] < 0.5 * (plain["settling_time"] or plain["duration"])
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])
@@ -505,17 +486,6 @@ def test_the_energies_of_a_trial_are_those_of_its_ledger(on):
     assert found["source"].startswith("edge flows" if on == "model" else "estimated")
     known = list(made.facts.measures)
     assert known.index("energy") == known.index("limits") - 1 and not made.notes
-
-
-def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():
-    """Bound over a closed cycle: 34.5 % with regenerated lowering (SPEC 4); tracking no worse."""
-    five, four = (
-        account(prepared, run(prepared)).facts.measures
-        for prepared in (prepare(recipe(ARC, payload="50 lb"), RIGS[name]) for name in NAMES[:2])
-    )
-    saved = 1.0 - five["energy"]["pump"] / four["energy"]["pump"]
-    assert 0.30 < saved < 0.45
-    assert five["tracking"]["rms_error"] < 1.5 * four["tracking"]["rms_error"]
 
 
 # --- sets

@@ -68,25 +68,6 @@ def test_a_pump_moves_its_displacement_less_its_slip(sign):
             assert edge_slope(drop, flow, command, row) == 4e-12
 
 
-def test_a_load_sinks_by_the_slip_and_rises_as_the_pump_turns():
-    """Ringing damped out: ``v A1 = −slip (p_head − p_rod)`` at pressures that carry the load."""
-    rig = RIG.with_values({"table.damping": 5e4, "lift.pump.slip": 1e-11})
-    record = trial(rig, np.zeros(1501))
-    row = Model.of(rig).plant.cylinders[0]
-    speed = -1e-11 * (record["lift.p_head"][-1] - record["lift.p_rod"][-1]) / row.area_head
-    assert record["lift.v"][-1] == pytest.approx(speed, rel=2e-3)
-    assert speed < -0.01
-    # Without slip, on stiff oil and once the load has stopped ringing: A1 Δx = D ∫ω dt
-    rig = RIG.with_values({"lift.pump.slip": 0.0, "table.damping": 5e4, "bulk_modulus": 9e9})
-    u = np.zeros(2501)
-    u[100:900] = 3.0
-    record = trial(rig, u)
-    edge, area = rig.all_edges()["lift.pump"], rig.cylinder[0].areas()[0]
-    turned = float(edge.speed_gain) * 3.0 * 0.8
-    risen = record["lift.x"][-1] - record["lift.x"][0]
-    assert area * risen == pytest.approx(float(edge.displacement) * turned, rel=1e-3)
-
-
 def test_a_pump_of_fixed_speed_is_one_at_a_held_command():
     def turned(edges: list[dict], fixed: list[dict]) -> Rig:
         table = RIG.as_toml()
@@ -202,24 +183,6 @@ def test_the_energy_of_the_gas_is_its_work(n):
         lambda p: (p + compressed(p, 3e8)) * gas_capacity(p, row), 4e5, 3e6, epsabs=0, epsrel=1e-12
     )
     assert gas_energy(3e6, row) == pytest.approx(whole, rel=1e-12)
-
-
-def test_the_charge_line_holds_the_oil_that_it_gave(made):
-    """Gas and line oil take what comes back through the check valves, at every sample."""
-    plant = Model.of(RIG).plant
-    p, row = made["p_supply"], plant.supply
-
-    def held(pressure: np.ndarray) -> np.ndarray:
-        gas = row.gas_volume * ((row.precharge + ATMOSPHERE) / (pressure + ATMOSPHERE)) ** (
-            1.0 / row.polytropic_exponent
-        )
-        return row.volume / row.bulk_modulus * pressure - gas
-
-    out = made["lift.check_rod.flow"] + made["lift.check_head.flow"]
-    given = np.concatenate([[0.0], np.cumsum(0.5 * (out[1:] + out[:-1]) * np.diff(made.t))])
-    assert np.ptp(p) > 2e4 and np.ptp(given) > 1e-5
-    # the trapezoid of the samples is what differs
-    assert np.abs(held(p) - held(p[0]) + given).max() < 2e-3 * np.ptp(given)
 
 
 def test_a_charge_pump_brings_the_pressure_back():

@@ -80,14 +80,6 @@ def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
     assert speeds["saturating"] < 0.7 * speeds["orifice"]
 
 
-@pytest.mark.slow
-def test_a_saturation_comes_back_from_noisy_logs():
-    """``opening_max`` and ``flow_gain`` of one edge, started 1.8 and 0.6 times off."""
-    rig = with_law(law="saturating", opening_max=3.0, saturation_softness=0.4)
-    edge = "press.servo_supply_head"
-    recovered(rig, {f"{edge}.opening_max": 1.8, f"{edge}.flow_gain": 0.6})
-
-
 # --- a compensated edge that holds its flow
 
 
@@ -135,14 +127,6 @@ def test_flow_control_adds_no_damping_above_its_drop():
     assert ours - bare > 0.02
     ours, bare = held_ring("flow_control", 2e6)
     assert abs(ours - bare) < 1e-7
-
-
-@pytest.mark.slow
-def test_a_flow_control_gain_comes_back_from_noisy_logs():
-    """Gain and deadband of one edge, started 1.6 and 0.5 times off."""
-    rig = with_law(law="flow_control", compensated_gain=6e-6, deadband=0.4)
-    edge = "press.servo_supply_head"
-    recovered(rig, {f"{edge}.compensated_gain": 1.6, f"{edge}.deadband": 0.5})
 
 
 # --- an edge that is open at rest: underlap
@@ -295,8 +279,24 @@ def test_controllers_and_the_bench_know_a_preload():
     assert flows[0] == flows[1] == 0.0 and 0.0 < flows[2] < flows[3]
 
 
+# --- two numbers of an edge, or of one and the oil, from starts so many times off
+
+EDGE = "press.servo_supply_head"
+STARTS = {
+    "saturating": (
+        {"opening_max": 3.0, "saturation_softness": 0.4},
+        {f"{EDGE}.opening_max": 1.8, f"{EDGE}.flow_gain": 0.6},
+    ),
+    "flow_control": (
+        {"compensated_gain": 6e-6, "deadband": 0.4},
+        {f"{EDGE}.compensated_gain": 1.6, f"{EDGE}.deadband": 0.5},
+    ),
+    "preload": ({}, {"press.servo_rod_tank.cracking_pressure": 0.4, "bulk_modulus": 1.5}),
+}
+
+
 @pytest.mark.slow
-def test_a_preload_comes_back_from_noisy_logs():
-    """With the oil's bulk modulus, started 0.4 and 1.5 times off."""
-    factors = {"press.servo_rod_tank.cracking_pressure": 0.4, "bulk_modulus": 1.5}
-    recovered(preloaded(), factors)
+@pytest.mark.parametrize("law", STARTS)
+def test_numbers_of_edges_come_back_from_noisy_logs(law):
+    table, factors = STARTS[law]
+    recovered(with_law(law=law, **table) if table else preloaded(), factors)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from plant_differences import plant_model
-from with_parts import closes, point_of, sampled, slip
+from with_parts import closes, point_of, sampled
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
@@ -23,13 +23,12 @@ from ehbench.parts.friction.stribeck import SMOOTHING
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.linear import development_model
-from tests.shared import RIGS, shipped
+from tests.shared import shipped
 
 BREAKS = {"friction_static": "160 N", "stribeck_speed": "20 mm/s"}
 BRISTLES = {"bristle_stiffness": "4000 N/mm", "bristle_damping": "2000 N*s/m"}
 
 
-LAW = 'law = "stribeck"\nfriction_static = "160 N"\nstribeck_speed = "20 mm/s"\n'
 RETRACTING = {"friction_retracting": "130 N"}
 TABLES = {"stribeck": BREAKS, "lugre": BREAKS | BRISTLES, "directional": RETRACTING}
 STIFFNESS, DAMPING = 4.0e6, 2.0e3
@@ -231,33 +230,6 @@ def test_the_integrator_keeps_its_order(law):
         y = start.copy()
         taken = [rk4(y, command, model.plant, 1e-3, k, work) for _ in range(50)]
         assert min(taken) > 1 and np.abs(y - ends[2])[1] < 1e-8
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"160 N"', '"60 N"', "friction.friction_static: must not lie below friction_coulomb"),
-        ('"160 N"', '"160 N/m"', "friction.friction_static: 'N/m' cannot be turned into N"),
-        ('law = "stribeck"', 'law = "stribek"', "is none of 'coulomb_viscous', 'stribeck'"),
-        ('law = "stribeck"', 'law = "lugre"', "'friction.bristle_stiffness' is missing"),
-        ('law = "stribeck"', "", "'friction.law' is missing"),
-        ("stribeck_speed", "stribeck_sped", "'friction.stribeck_sped' (did you mean"),
-        ('friction_static = "160 N"\n', "", "'friction.friction_static' is missing"),
-    ],
-)
-def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words):
-    text = (RIGS / "slide_servo.toml").read_text()
-    table = f"\n[cylinder.friction]\n{LAW}\n[[cylinder.valve]]"
-    text = text.replace("[[cylinder.valve]]", table, 1).replace('"0 N"', '"80 N"')
-    there = slip(tmp_path / "rig.toml", text, old, new, words)
-    assert (new and new.split(" ")[0] in there) or there == "[cylinder.friction]"
-
-
-def test_bristles_need_coulomb_friction():
-    plain = rig_with("lugre").as_toml()
-    plain["cylinder"][0]["friction_coulomb"] = "0 N"
-    with pytest.raises(ValueError, match="needs a friction_coulomb above 0"):
-        Rig.model_validate(plain)
 
 
 def test_a_rig_with_it_is_written_and_read_again():

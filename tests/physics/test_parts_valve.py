@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant_differences import plant_model
 from scipy.signal import fftconvolve
-from with_parts import closes, point_of, slip
+from with_parts import closes, point_of
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
@@ -17,7 +17,7 @@ from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import acting_commands, follow_valves
 from ehbench.tune.linear import development_model, faster
-from tests.shared import RIGS, shipped
+from tests.shared import shipped
 
 SPOOL = {"natural_frequency": "80 Hz", "damping_ratio": 0.8}
 OMEGA, ZETA = 2 * math.pi * 80.0, 0.8
@@ -204,32 +204,6 @@ def test_the_linear_model_has_every_element(series):
     assert -np.angle(opening(ours, s)) / 1e-3 == pytest.approx(lag, rel=1e-5)
     quick = faster(ours, 10.0)
     assert opening(quick, 10 * 50j) == pytest.approx(opening(ours, 50j), rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('["amplifier", "spool"]', '["amplifer", "spool"]', "no [dynamics.amplifer]; known are"),
-        (
-            'natural_frequency = "60 Hz"\ndamping_ratio = 1.0',
-            'lag = "6 Hz"\nkind = "first_order"',
-            "dynamics.amplifier.lag: 'Hz' cannot be turned into s",
-        ),
-        ('["amplifier", "spool"]', '["spool", "spool"]', "'spool' is in the series twice"),
-        ('"60 Hz"', '"60 s"', "natural_frequency: 's' cannot be turned into"),
-        ('natural_frequency = "60 Hz"', 'kind = "third_order"', "kind = 'third_order' is none of"),
-        (
-            "damping_ratio = 1.0",
-            "dampingratio = 1.0",
-            "dampingratio' (did you mean 'damping_ratio'?)",
-        ),
-    ],
-)
-def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words):
-    text = (RIGS / "slide_servo.toml").read_text()
-    text = text.replace('dynamics = "spool"', 'dynamics = ["amplifier", "spool"]', 1)
-    text += '\n[dynamics.amplifier]\nnatural_frequency = "60 Hz"\ndamping_ratio = 1.0\n'
-    assert new.splitlines()[0] in slip(tmp_path / "rig.toml", text, old, new, words)
 
 
 def test_a_rig_with_a_series_is_written_and_read_again():

@@ -146,41 +146,6 @@ def test_pump_tank_and_machine_balance(ledger):
     assert np.abs(pumped - stored - drained).max() < 1e-6 * pumped[-1]
 
 
-def test_energy_is_conserved(ledger):
-    """Pump work = throttling + leakage + tank + compression + cylinder work = … + ΔKE + ΔPE +
-    friction, each sum within 1e-6 of the energy given, for the reasons of the oil balance.
-    """
-    plant, step = ledger.model.plant, ledger.step
-    given = integral(ledger.supply * ledger.pump, step)
-    line = 0.5 * plant.supply.volume / plant.supply.bulk_modulus
-    spent = line * (ledger.supply[::2] ** 2 - ledger.supply[0] ** 2)
-    for index, edge in enumerate(plant.edges):
-        drop = ledger.nodes[:, edge.from_node] - ledger.nodes[:, edge.to_node]
-        throttled = integral(drop * ledger.edges[:, index], step)
-        assert throttled[-1] >= 0.0
-        spent = spent + throttled
-    spent = spent + integral(ledger.nodes[:, 1] * ledger.into[:, 1], step)
-    work = np.zeros_like(given)
-    for row, _, v, sides in ledger.cylinders():
-        force = np.zeros_like(v)
-        for inflow, p, volume, area, leaking in sides:
-            spent = spent + integral(p * leaking, step) + integral(p * (inflow - area * v), step)
-            force += area * p
-        work = work + integral(force * v, step)
-    scale = given[-1]
-    assert scale > 1.0
-    assert np.abs(given - spent - work).max() < 1e-6 * scale
-
-    scratch = np.empty(arm.work_size(plant.links.shape[0]))
-    of = plant.kind, plant.links, plant.gravity
-    motion = zip(ledger.q[::2], ledger.qd[::2], strict=True)
-    held = np.array([sum(arm.energy(*of, q, qd, scratch)) for q, qd in motion])
-    lost = integral(np.sum(plant.links.damping * ledger.qd**2, axis=1), step)
-    for row, _, v, _ in ledger.cylinders():
-        lost = lost + integral(row.friction_viscous * v**2, step)
-    assert np.abs(work - (held - held[0]) - lost).max() < 1e-6 * scale
-
-
 def test_fourth_order(rig):
     """The error falls by 2⁴ within 0.1, valves open from the start, without substeps."""
     model = Model.of(rig)

@@ -20,8 +20,8 @@ from ehbench.vocabulary.errors import InputError
 from tests.shared import ROOT, shipped
 
 START = 2.0  # s: the boom rises at full speed
+HIGH = {"kind": "offset", "value": "400 psi"}
 TWO_RAILS = {"low_rail": {"rail_pressure": "500 psi", "rail_margin": "100 psi"}}
-SUPPLIES = pytest.mark.parametrize("supply", [{}, TWO_RAILS], ids=["one pressure", "two rails"])
 
 
 def result_of(
@@ -47,16 +47,17 @@ def result_of(
     return run(prepare(recipe, shipped("thesis_arm"))).facts
 
 
-@SUPPLIES
 @pytest.mark.parametrize(
-    ("valve", "kind", "stays", "within", "largest"),
+    ("valve", "kind", "stays", "within", "largest", "supply"),
     [
         # lowered from 4.7 s on, before which the valve has nothing to do
-        ("hect", "stuck_closed", "shut", 3.2, 6e-3),
-        ("hepc", "stuck_closed", "shut", 0.15, 20e-3),
-        ("rect", "stuck_closed", "shut", 0.25, 10e-3),
-        ("hepc", "stuck_open", "open", 0.25, None),
-        ("regen", "stuck_open", "open", 0.2, None),
+        ("hect", "stuck_closed", "shut", 3.2, 6e-3, {}),
+        ("hepc", "stuck_closed", "shut", 0.15, 20e-3, {}),
+        ("hepc", "stuck_closed", "shut", 0.15, 20e-3, TWO_RAILS),
+        ("rect", "stuck_closed", "shut", 0.25, 10e-3, {}),
+        ("hepc", "stuck_open", "open", 0.25, None, {}),
+        ("regen", "stuck_open", "open", 0.2, None, {}),
+        ("regen", "stuck_open", "open", 0.2, None, TWO_RAILS),
     ],
 )
 def test_a_valve_that_fails_is_named_and_the_others_go_on(
@@ -74,20 +75,34 @@ def test_a_valve_that_fails_is_named_and_the_others_go_on(
         assert facts.measures["tracking_true"]["max_error"] < largest
 
 
-@SUPPLIES
 @pytest.mark.parametrize(
-    ("fault", "channel", "within", "largest"),
+    ("fault", "channel", "within", "largest", "supply"),
     [
-        ({"kind": "stuck", "target": "boom.x"}, "boom.x", 0.2, 5e-3),
-        ({"kind": "offset", "target": "boom.x", "value": "-8 mm"}, "boom.x", 0.1, 2e-3),
-        ({"kind": "drift", "target": "boom.q", "value": "5 deg"}, "boom.x", 0.5, 2e-3),
-        ({"kind": "scale", "target": "boom.x", "value": "1.08"}, "boom.x", 0.1, 2e-3),
-        ({"kind": "offset", "target": "boom.p_head", "value": "400 psi"}, "boom.p_head", 0.1, 9e-3),
-        ({"kind": "zero", "target": "boom.p_head"}, "boom.p_head", 0.1, 9e-3),
-        ({"kind": "offset", "target": "boom.p_rod", "value": "400 psi"}, "boom.p_rod", 0.1, 9e-3),
-        ({"kind": "stuck", "target": "boom.p_rod"}, "boom.p_rod", 2.5, 9e-3),
-        ({"kind": "scale", "target": "p_supply", "value": "0.6"}, "p_supply", 0.3, 2e-3),
-        ({"kind": "offset", "target": "p_tank", "value": "300 psi"}, "p_tank", 0.3, 2e-3),
+        ({"kind": "stuck", "target": "boom.x"}, "boom.x", 0.2, 5e-3, {}),
+        ({"kind": "stuck", "target": "boom.x"}, "boom.x", 0.2, 5e-3, TWO_RAILS),
+        ({"kind": "offset", "target": "boom.x", "value": "-8 mm"}, "boom.x", 0.1, 2e-3, {}),
+        ({"kind": "drift", "target": "boom.q", "value": "5 deg"}, "boom.x", 0.5, 2e-3, {}),
+        ({"kind": "scale", "target": "boom.x", "value": "1.08"}, "boom.x", 0.1, 2e-3, {}),
+        (
+            {"kind": "offset", "target": "boom.p_head", "value": "400 psi"},
+            "boom.p_head",
+            0.1,
+            9e-3,
+            {},
+        ),
+        ({"kind": "zero", "target": "boom.p_head"}, "boom.p_head", 0.1, 9e-3, {}),
+        (
+            {"kind": "offset", "target": "boom.p_rod", "value": "400 psi"},
+            "boom.p_rod",
+            0.1,
+            9e-3,
+            {},
+        ),
+        ({"kind": "stuck", "target": "boom.p_rod"}, "boom.p_rod", 2.5, 9e-3, {}),
+        ({"kind": "stuck", "target": "boom.p_rod"}, "boom.p_rod", 2.5, 9e-3, TWO_RAILS),
+        ({"kind": "scale", "target": "p_supply", "value": "0.6"}, "p_supply", 0.3, 2e-3, {}),
+        ({"kind": "scale", "target": "p_supply", "value": "0.6"}, "p_supply", 0.3, 2e-3, TWO_RAILS),
+        ({"kind": "offset", "target": "p_tank", "value": "300 psi"}, "p_tank", 0.3, 2e-3, {}),
     ],
     ids=str,
 )
@@ -114,12 +129,18 @@ def test_noise_of_the_assumed_deviation_is_no_fault():
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{}, {"flow": 0.8}, {"valve_lag": 2.0}, {"bulk_modulus": 0.5}, {"friction": 3.0}],
+    ("payload", "change", "supply"),
+    [
+        (None, {}, {}),
+        (None, {"flow": 0.8}, TWO_RAILS),
+        ("50 lb", {}, TWO_RAILS),
+        ("50 lb", {"flow": 0.8}, {}),
+        ("50 lb", {"valve_lag": 2.0}, {}),
+        ("50 lb", {"bulk_modulus": 0.5}, {}),
+        ("50 lb", {"friction": 3.0}, {}),
+    ],
     ids=str,
 )
-@SUPPLIES
-@pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_a_sound_machine_is_not_blamed(payload, change, supply):
     machine = MachineChange.model_validate(change)
     facts = result_of(payload, machine=machine, supply=supply)

@@ -1,13 +1,11 @@
 """What the tests of a rig's parts share: a rig with a part, its linear form, noise, a fit."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from plant_differences import plant_model
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.ledger import Ledger, ledger_of_log, ledger_of_model
@@ -23,23 +21,10 @@ from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import acting_commands
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, equivalent, operating_point, state_of
-from ehbench.vocabulary.errors import InputError
 from tests.shared import measured, started_off
 
 LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
 NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
-
-
-def slip(path: Path, text: str, old: str, new: str, words: str) -> str:
-    """The line that a rig file is refused for, by one sentence with these words, where one slip is
-    made in a text that is sound."""
-    path.write_text(text)
-    load_rig(path)
-    path.write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        load_rig(path)
-    assert words in str(caught.value) and "\n" not in str(caught.value)
-    return path.read_text().splitlines()[(caught.value.line or 0) - 1]
 
 
 def jacobian(model: Model) -> np.ndarray:
@@ -135,13 +120,13 @@ def steps(levels: tuple[float, ...] | np.ndarray, hold: int = 150) -> np.ndarray
 
 
 def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> None:
-    """Fail unless parameters come back from two noisy logs, held by intervals over five draws."""
+    """Fail unless parameters come back from two noisy logs, held by intervals over two draws."""
     made = []
     for sign in (0.9, 1.1):
         table = steps(sign * np.array(LEVELS))
         made.append(simulate(rig, {"press.servo": table}, 1e-3 * (table.size - 1)))
     held = []
-    for seed in range(5):
+    for seed in range(2):
         logs = [(f"log {i}", noisy(log, 10 * seed + i)) for i, log in enumerate(made)]
         fit, truth = started_off(rig, logs, factors)
         for name, value in truth.items():
@@ -149,8 +134,8 @@ def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> No
             assert fit[name].status == "estimated", fit[name]
             assert fit[name].std < accuracy * abs(value), fit[name]
             held.append(low <= value <= high)
-    # of ten intervals of 95 %, more than two miss once in ninety
-    assert held.count(False) <= 2, held
+    # of four intervals of 95 %, more than one misses once in seventy
+    assert held.count(False) <= 1, held
 
 
 def sampled(model: Model, record: Record) -> dict[str, np.ndarray]:

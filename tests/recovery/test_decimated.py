@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.config.recipe import load_recipe
 from ehbench.data.record import BlockAverages, Record
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
@@ -142,17 +142,6 @@ def test_how_many_is_by_the_fastest_of_the_machine():
     assert (log.each, len(log.recorded)) == (4, record.t.size // 4)
     assert log.seen.t[0] == pytest.approx(1.5 / RATE)
     assert len(_windows(log)) == len(log.recorded)
-
-
-@pytest.mark.parametrize("path", sorted(RIGS.glob("*.toml")), ids=lambda path: path.stem)
-def test_a_log_at_one_kilohertz_is_compared_sample_by_sample(path):
-    one = load_rig(path)
-    valves = [f"{c.name}.{v.name}" for c, v in one.valves()][:1]
-    t = np.arange(3001) * 1e-3
-    made = simulate(one, {name: 2.0 * (t > 0.1) * (t < 0.2) for name in valves}, t[-1])
-    options = FitOptions()
-    (log,) = prepare_fit(one, [("log", made)], ["bulk_modulus"], options).logs
-    assert (log.means, log.each, log.seen) == (None, 1, log.record)
 
 
 def test_the_hydraulic_mode_counts_where_it_is_faster_than_valves():

@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps import shape as shapes
 from ehbench.flow_maps.readings import Cells, FlowMapOptions, Units, readings_table
 from ehbench.flow_maps.results import check_calibration, fit_flow_map
@@ -219,15 +218,6 @@ def test_lack_of_fit_and_trials_that_differ_widen_the_intervals():
     assert plain.trial_scatter < 2e-3 and "trial_scatter" in keys(shifted)
 
 
-@pytest.mark.slow
-def test_readings_below_the_limit_of_the_meter_do_not_shift_the_deadband():
-    data = readings(poppet, 13, limit=0.0)
-    data["flow"] = np.where(data["flow"] < 0.3 * GPM, 0.0, data["flow"])  # the turbine stands still
-    for found in (fit(data), fit(data, meter_limit=0.3 * GPM)):  # zeros say so by themselves
-        assert found.deadband == pytest.approx(1.6, abs=3 * found.deadband_std)
-        assert compare(found, poppet)[0] >= 0.9
-
-
 def test_a_map_of_one_drop_and_few_readings_is_fitted():
     """A flow rises above a noise of no flow that is far below its own."""
     volts = np.array([2.0, 2.1, 2.2, 2.3, 2.4, 2.5, 2.6, 2.9, 3.0, 3.1, 3.2, 3.3, 3.4])
@@ -289,33 +279,6 @@ def test_same_readings_same_bytes_in_any_order():
     assert dump_flow_maps(collect([one.map])) == dump_flow_maps(collect([two.map]))
     np.testing.assert_array_equal(one.residuals[shuffle], two.residuals)
     assert json.dumps(one.to_dict(), allow_nan=False) == json.dumps(two.to_dict(), allow_nan=False)
-
-
-@pytest.mark.slow
-def test_from_csv_files_to_maps_of_both_directions(tmp_path):
-    laws = {("regen", "forward"): poppet, ("regen", "reverse"): compensated}
-    laws[("hect", "forward")] = compensated
-    head = "valve,direction,command [V],pressure_drop [kPa],flow [gpm],method,trial\n"
-    parts = []
-    for k, ((valve, direction), law) in enumerate(laws.items()):
-        data = readings(law, 20 + k)
-        words = ("command", "pressure_drop", "flow", "method", "trial")
-        columns = [data[n].tolist() for n in words]
-        lines = [
-            f"{valve},{direction},{u!r},{p / 1e3!r},{q / GPM!r},{m},{t}"
-            for u, p, q, m, t in zip(*columns, strict=True)
-        ]
-        path = tmp_path / f"{valve}_{direction}.csv"
-        path.write_text(head + "\n".join(lines))
-        parts.append(read_flowmeter(path, supply_pressure=6.9e6))
-    data = merge_flowmeter(parts)
-    fits = [fit_flow_map(*group, data.select(*group)) for group in data.groups()]
-    assert [(one.map.valve, one.map.direction) for one in fits] == sorted(laws)
-    maps = collect([one.map for one in fits])
-    for (valve, direction), law in laws.items():
-        sign = 1 if direction == "forward" else -1
-        assert maps[valve].flow(sign * 3e6, 6.0) == pytest.approx(sign * law(3e6, 6.0), rel=0.01)
-        assert f"{valve}_{direction}.csv" in getattr(maps[valve], direction).source
 
 
 NEAR = [1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10]

@@ -19,7 +19,6 @@ from ehbench.identification.simulator import Simulator, prepare
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.model import Model, simulate
 from ehbench.runs import rundir
-from ehbench.signals.series import ringing
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from tests.shared import identify, measured, shipped
 
@@ -77,10 +76,6 @@ def edited(logs, change):
         channels = {c: values for c, values in channels.items() if values is not None}
         edits.append((name, replace(record, channels=channels)))
     return edits
-
-
-def keys(fit):
-    return [getattr(text, "key", "") for text in fit.warnings]
 
 
 def covers(fit, truth):
@@ -143,23 +138,6 @@ def test_six_parameters_of_the_arm_from_six_logs():
         assert low == 0.0 and high < 0.02 * fit[name].upper
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("pole", [0.0, 0.9])
-def test_intervals_cover(pole):
-    """Of 12 fits to logs with noise of their own, at least 85 % of the 95 % intervals hold the
-    truth, white or coloured: those that hold it 70 % of the time pass once in twenty times.
-    """
-    start = {"bulk_modulus": 5e8, "carriage.damping": 1600.0}
-    hits, narrow = 0, []
-    for seed in range(12):
-        logs = slide_logs(seed + 1, pole)
-        fit = identify(shipped("slide_servo"), logs, SLIDE, start=start, workers=1)
-        hits += sum(covers(fit, item) for item in TRUE.items())
-        narrow.append(fit["bulk_modulus"].std)
-    assert hits >= 0.85 * 2 * 12
-    assert max(narrow) < 0.01 * 9e8  # an interval that covers because it is wide tells nothing
-
-
 def test_a_fit_is_the_same_however_many_threads():
     given = (shipped("slide_servo"), slide_logs(3), SLIDE)
     one, *more = (
@@ -168,22 +146,6 @@ def test_a_fit_is_the_same_however_many_threads():
     assert more == [one, one]
     plain = json.loads(json.dumps(rundir.plain(one), allow_nan=False))
     assert plain["parameters"][0]["name"] == "bulk_modulus"
-
-
-def test_a_sample_is_the_state_at_its_time():
-    """The command at t acts from t on: shifting the samples by one is seen."""
-    right = slide_logs(4)
-    late = lambda c, v, _: v if c.endswith("command") else np.concatenate([v[:1], v[:-1]])
-    shifted = edited(right, late)
-    good, late = (identify(shipped("slide_servo"), logs, SLIDE) for logs in (right, shifted))
-    assert all(covers(good, item) for item in TRUE.items())
-    assert "identification.late" not in keys(good) and "identification.late" in keys(late)
-    stds = {name: good[name].std or 0.0 for name in TRUE}
-    off = max(abs(late[name].value - truth) / stds[name] for name, truth in TRUE.items())
-    assert off > 10.0  # biased by far more than the noise explains
-    for a, b in zip(good.logs, late.logs, strict=True):
-        for c in ("press.p_head", "press.p_rod"):
-            assert b.residual_rms[c] > 1.2 * a.residual_rms[c]
 
 
 def test_what_a_closed_valve_hides_is_not_excited():
@@ -199,16 +161,6 @@ def test_what_a_closed_valve_hides_is_not_excited():
     assert text.fields["name"] == "boom.sr.flow_gain"
     with pytest.raises(InsufficientData, match=r"boom.sr.flow_gain"):
         identify(machine, logs, ["boom.sr.flow_gain"])
-
-
-@pytest.mark.slow
-def test_a_bound_that_holds_is_told():
-    given = {"start": {"bulk_modulus": 5e8}, "upper": {"bulk_modulus": "700 MPa"}}
-    fit = identify(shipped("slide_servo"), slide_logs(6, samples=601), SLIDE, **given)
-    assert (fit["bulk_modulus"].status, fit["bulk_modulus"].value) == ("at_bound", 7e8)
-    assert "identification.at_bound" in keys(fit)
-    left = fit.left_over.fields
-    assert (left["channel"], left["log"]) == ("press.p_head", "log 1") and left["times"] > 3.0
 
 
 def test_a_pair_that_only_works_together_is_told():
@@ -242,18 +194,6 @@ def test_a_prior_is_shown_apart_from_the_data():
     assert told.from_data > 0.9
     strong = identify(machine, logs, SLIDE, prior={"bulk_modulus": "90 MPa"})
     assert strong["bulk_modulus"].prior == 9e7 and strong["bulk_modulus"].from_data > 0.999
-
-
-def test_a_prior_holds_what_the_data_do_not_tell():
-    """Slide damping and viscous friction are one number for the data: a prior on one tells both."""
-    pair = ["carriage.damping", "press.friction_viscous"]
-    machine = shipped("slide_servo").with_values({pair[1]: 1.0})
-    given = {"upper": {pair[1]: 2000.0}, "prior": {pair[1]: "20 N*s/m"}}
-    fit = identify(machine, slide_logs(7), ["bulk_modulus", *pair], **given)
-    held = fit["press.friction_viscous"]
-    assert held.from_data < 0.05 and held.std == pytest.approx(20.0, rel=0.1)
-    assert abs(held.value - 1.0) < 20.0
-    assert fit["carriage.damping"].std == pytest.approx(20.0, rel=0.2)
 
 
 def gains_of(fit):
@@ -301,18 +241,6 @@ def test_pins_that_cannot_be_do_not_end_the_search():
     log = prepare(Model.of(machine), logs[0][1], "log", CHANNELS, (), 1, None)
     impossible = Simulator(machine, [log], ["lift.l_a"], None, 1, 5e-4)
     assert impossible.simulate([[0.1]]) == [[None]]
-
-
-def test_more_freedom_ends_no_worse():
-    """Parameters that add nothing leave a fit where it was, however they are started."""
-    logs = slide_logs(16)
-    few = identify(shipped("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
-    more = ["press.friction_coulomb", "press.leakage_internal", "spool.natural_frequency"]
-    start = {"bulk_modulus": 4e8, "spool.natural_frequency": "25 Hz"}
-    many = identify(shipped("slide_servo"), logs, [*SLIDE, *more], start=start)
-    for one, other in zip(few.logs, many.logs, strict=True):
-        for channel, left in one.residual_rms.items():
-            assert other.residual_rms[channel] < 1.02 * left
 
 
 def a_map(valve, most):
@@ -373,20 +301,6 @@ def test_a_missing_rate_and_a_low_pass_leave_the_answer():
     names = {"t [s]", "press.p_head [Pa]", "simulated.press.p_head [Pa]"}
     assert all(names <= set(series) for series in fit.series().values())
     assert near(identify(shipped("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0), TRUE)
-
-
-def test_the_recorded_ringing_is_the_linear_formula():
-    """Valves shut, ``ω² = β (A1²/V1 + A2²/V2)/m`` of a mass between two closed chambers."""
-    record, window = clean("slide_servo", None, SERVO), slice(260, 440)
-    channels = [record[f"press.{c}"][window] for c in ("v", "p_head", "p_rod")]
-    found = ringing(record.t[window], np.column_stack(channels))
-    cylinder, x = shipped("slide_servo").cylinder[0], float(np.mean(record["press.x"][window]))
-    head, rod = cylinder.areas()
-    stiffness = head**2 / (float(cylinder.volume_head) + head * x)
-    stiffness += rod**2 / (float(cylinder.volume_rod) - rod * x)
-    formula = math.sqrt(9e8 * stiffness / 250.0)
-    # the supply's and valve's last movement and damping shift it by less than 1 %
-    assert found.ok and found.natural_frequency == pytest.approx(formula, rel=0.01)
 
 
 @pytest.mark.parametrize("factor", [0.25, 4.0])
@@ -464,24 +378,6 @@ def test_a_sample_that_is_no_number_is_named():
     says = r"log 0: channel 'press.p_rod' is not a number at t = 0.007 s"
     with pytest.raises(InputError, match=says):
         identify(shipped("slide_servo"), [*edited([first], holed), *rest], SLIDE)
-
-
-def test_what_follows_an_empty_chamber_does_not_count():
-    """Those samples are left out until the next command, and the user is told."""
-    first, *rest = slide_logs(13)
-
-    def emptied(channel, values, record):
-        void = (record.t > 0.3) & (record.t < 0.33) & (channel == "press.p_head")
-        later = (record.t >= 0.3) & (record.t < 0.44) & (channel == "press.p_rod")
-        return np.where(void, -8e4, np.where(later, values + 1e6, values))
-
-    logs = [*edited([first], emptied), *rest]
-    fit = identify(shipped("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
-    (text,) = [w for w in fit.warnings if getattr(w, "key", "") == "identification.cavitates"]
-    assert 0.25 <= text.fields["t"] < 0.26
-    # 0.25 s to 0.05 s after the next step
-    assert fit.logs[0].counted["press.p_rod"] == pytest.approx(100 * (1 - 0.24 / 0.8), abs=1)
-    assert near(fit, {"bulk_modulus": 9e8})
 
 
 def test_valve_dynamics_are_told_apart():

@@ -11,7 +11,7 @@ from ehbench.guidance.profile import LEVEL_95, profile
 from ehbench.identification.hydraulics import FitOptions, prepare_fit
 from ehbench.plant.model import simulate
 from ehbench.vocabulary.errors import InputError
-from tests.shared import ROOT, measured, shipped
+from tests.shared import RIGS, ROOT, measured, shipped
 
 NOISE = {"v": 1e-3, "p_head": 6e4, "p_rod": 6e4, "x": 1e-5, "p_supply": 6e3}
 
@@ -56,8 +56,12 @@ def test_the_others_are_fitted_again_along_a_profile(prepared):
 
 @pytest.mark.slow
 def test_the_command_leaves_a_run_with_its_picture(inside, tmp_path):
-    recipe = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
-    out = tmp_path / "profile"
+    recipe, out = tmp_path / "fit.toml", tmp_path / "profile"
+    log = ROOT / "datasets" / "slide_servo" / "steps" / "press_100kg.mcap"
+    recipe.write_text(
+        f'stage = "identify"\nwhat = "hydraulics"\nrig = "{RIGS}/slide_servo.toml"\n'
+        f'data = ["{log}"]\nparameters = ["bulk_modulus", "carriage.damping"]\n'
+    )
     words = ("identify", recipe, "--profile", "bulk_modulus", "--out", out)
     done = inside(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

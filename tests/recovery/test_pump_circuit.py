@@ -70,7 +70,7 @@ def test_a_start_far_off_comes_back_within_its_interval(factors, ends, pairs):
 def test_what_a_drive_gives_at_most_comes_back():
     """Full at 5 of the 7 V that are commanded."""
     factors = {"lift.drive.drive_limit": 0.7, "lift.pump.displacement": 1.5}
-    comes_back(driven_to(5.0), logs(5.0), factors)
+    comes_back(driven_to(5.0), logs(5.0, SHORT), factors)
 
 
 def comes_back(rig: Rig, given: list[tuple[str, Record]], factors: dict[str, float]) -> None:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from ehbench.plant.build import Kept, Plant
-from ehbench.plant.many import map_threads
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import EhbenchError
 from tools.studies.recovery_study import BEDS, bed
@@ -32,14 +31,3 @@ def test_a_plant_of_kept_parts_is_the_plant(name):
             assert numbers(Model.of(rig, None, payload, kept).plant) == before, parameter
             other += fresh != before
     assert other >= 0.5 * len(known)
-
-
-def test_a_failure_in_any_thread_is_raised():
-    def work(i: int) -> int:
-        if i == 3:
-            raise ValueError("the fourth")
-        return i
-
-    with pytest.raises(ValueError, match="the fourth"):
-        map_threads(work, range(200), 4)
-    assert map_threads(lambda i: i * i, range(50), 4) == [i * i for i in range(50)]

@@ -155,21 +155,6 @@ def test_validation_estimates_sensors_of_each_log():
     assert float(np.mean(left**2)) < 3.0  # the questions that follow see it as well
 
 
-def test_stroke_and_angle_that_disagree_with_the_pins_are_noted():
-    crane = rig("crane_proportional")
-    u = np.zeros(400)
-    u[100:300] = 4.0
-    made = simulate(crane, {"lift.spool": u}, 0.399, posture={"lift": "300 mm"})
-    kept = {n: y for n, y in made.channels.items() if n.endswith((".q", ".x", "head", "command"))}
-    model = Model.of(crane)
-    log = replace(made, channels=kept)
-    assert not any("pins" in text for text in preprocess("log", log, model)[1])
-    away = replace(log, channels=kept | {"lift.x": kept["lift.x"] + 0.0118})
-    (note,) = (text for text in preprocess("log", away, model)[1] if "pins" in text)
-    assert note.key == "preprocessing.off_pins"
-    assert (note.fields["off"], note.fields["way"]) == ("11.8 mm", "above")
-
-
 @pytest.mark.parametrize(
     ("table", "words"),
     [

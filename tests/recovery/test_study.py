@@ -11,7 +11,7 @@ from tools.power.study import Trial, judged, miss
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("logs", "noise", "gain", "rigs"),
-    [(2, "white", False, 9), (2, "ar1", False, 9), (3, "ar1", False, 3), (2, "white", True, 3)],
+    [(2, "ar1", False, 9), (3, "white", False, 3), (2, "white", True, 3)],
 )
 def test_intervals_of_random_rigs_hold_the_truth(logs, noise, gain, rigs):
     """At a true coverage of 92 % fewer than 80 % of 34 hold once in a hundred studies."""

@@ -15,7 +15,7 @@ from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
 from ehbench.guidance.suggestions import Setup, Tried, _Trials, suggest
-from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
+from ehbench.identification.hydraulics import FitOptions, prepare_fit
 from ehbench.parts.sway import Sway
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.errors import InputError
@@ -118,18 +118,6 @@ def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     with pytest.raises(InputError, match="not empty"):
         session = workflow.Session(out=tmp_path / "new")
         workflow.suggest(tmp_path / "fit.toml", session, 0.01)
-
-
-@pytest.mark.slow
-def test_a_fit_that_begins_at_that_of_a_part_ends_no_worse():
-    log = log_of("slide_servo", built("saturation"), *STEPS, 3, SHORT)
-    gains = [n for n in rig_of().parameters() if n.endswith(".flow_gain")]
-    part = identify_hydraulics(rig_of(), [("log", log)], ["bulk_modulus", *gains])
-    start = {one.name: one.value for one in part.parameters}
-    more = [*start, "carriage.damping", "carriage.mass", "spool.natural_frequency"]
-    whole = identify_hydraulics(rig_of(), [("log", log)], more, FitOptions(start=start))
-    level = [sum(map(math.log, one.logs[0].residual_rms.values())) for one in (part, whole)]
-    assert level[1] < level[0] + 0.01
 
 
 VALVES = ("ht", "sh", "sr", "rt")

@@ -99,6 +99,7 @@ def test_halves_that_ring_otherwise_are_told_in_hertz(first, second, std):
 )
 def test_a_command_stands_whose_thirds_differ_by_a_tenth_of_its_step(levels, stand):
     assert stands(np.column_stack([levels, np.full(8, 3.0)]), 2) == stand
+    assert not stands(np.column_stack([levels, np.full(8, 3.0)]), 6), "two samples, no third part"
 
 
 @pytest.mark.parametrize(

@@ -568,6 +568,7 @@ def test_a_meter_shows_nothing_below_its_limit_and_a_shift_moves_openings(shift)
     assert r.q[r.silent].tolist() == [0.0] * 3 and r.silent.sum() == 3
     assert r.q[~r.silent] == pytest.approx(flow[r.row][~r.silent])
     assert r.u == pytest.approx(r.command - shift * (r.drop / 6e6 - 0.5))
+    assert r.shifted(0.0).u == pytest.approx(r.command)
     assert r.delta == pytest.approx(6e4)
     assert (r.step == r.level).all() or shift
     assert (r.levels[r.step] >= r.u - 1e-12).all()

@@ -39,9 +39,10 @@ QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}
 
 
 ALL_FAULTS = (*TABLE.values(), SENSORS, COMMANDS, (LATE, DRIFT))
+# beside those of the slide that `test_suggestions` cures
 BUILT = {
-    "slide_servo": ("gain", "lag", "friction", "damping", "sensor lag", "sensor sign"),
-    "crane_proportional": ("gain", "deadband", "load", "delay", "sensor scale"),
+    "slide_servo": ("damping", "sensor sign"),
+    "crane_proportional": ("gain", "deadband", "load"),
     "boom_four_valve": ("bulk modulus", "leakage", "saturation", "sensor offset"),
 }
 
@@ -87,9 +88,9 @@ def leaking_press(leakage: float = 6.0e-12):
     return rig.with_values({"press.leakage_internal": leakage, "carriage.mass": 400.0})
 
 
-@pytest.mark.parametrize("excess", [1.0e5, 4.0e5])
-def test_the_exact_model_of_a_leaking_rig_has_no_findings(excess):
+def test_the_exact_model_of_a_leaking_rig_has_no_findings():
     """Pressures fall at standstill, so that their mean is not the initial state."""
+    excess = 4.0e5
     rig = leaking_press(2.0e-11)
     model = Model.of(rig)
     log = clean_log("slide_servo", rig, "ramps", duration=2.0)
@@ -101,42 +102,34 @@ def test_the_exact_model_of_a_leaking_rig_has_no_findings(excess):
     assert ask([Case("log", log, model, commanded(model, log))]).findings == ()
 
 
+STRIBECK = {"friction_static": "300 N", "stribeck_speed": "20 mm/s"}
 LAWS = {
-    "stribeck": {"friction_static": "300 N", "stribeck_speed": "20 mm/s"},
+    "stribeck": STRIBECK,
     "directional": {"friction_retracting": "180 N"},
+    "lugre": STRIBECK | {"bristle_stiffness": "1e6 N/m"},
 }
-LAWS["lugre"] = LAWS["stribeck"] | {"bristle_stiffness": "1e6 N/m"}
+SPRING = {"kind": "spring", "stiffness": "20 N/mm", "free_length": "150 mm"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("law", "number"),
+    ("law", "number", "factor"),
     [
-        ("stribeck", "friction_static"),
-        ("stribeck", "stribeck_speed"),
-        ("lugre", "bristle_stiffness"),
-        ("directional", "friction_retracting"),
+        ("stribeck", "friction_static", 1.5),
+        ("stribeck", "stribeck_speed", 1.5),
+        ("lugre", "bristle_stiffness", 1.5),
+        ("directional", "friction_retracting", 1.5),
+        (None, "force.stiffness", 1.2),
+        (None, "force.free_length", 1.2),
     ],
 )
-def test_a_number_of_a_friction_law_is_named(law, number):
-    tables = shipped("slide_servo").as_toml()
-    press = dict(tables["cylinder"][0]) | {"friction_coulomb": "120 N"}
-    rig = Rig.model_validate(
-        tables | {"cylinder": [press | {"friction": {"law": law} | LAWS[law]}]}
-    )
+def test_a_number_of_a_friction_law_or_of_an_outer_spring_is_named(law, number, factor):
+    if law is None:
+        rig = slide(force=[SPRING])
+    else:
+        rig = slide(friction_coulomb="120 N", friction={"law": law} | LAWS[law])
     name = f"press.{number}"
-    wrong = rig.with_values({name: 1.5 * float(rig.parameters()[name])})
-    log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0, share=0.3)
-    for model, expected in ((Model.of(rig), []), (Model.of(wrong), [name])):
-        results = ask([Case("log", log, model, commanded(model, log))]).findings
-        assert [item.about for item in results[:1]] == expected, results
-
-
-@pytest.mark.parametrize("number", ["stiffness", "free_length"])
-def test_a_number_of_an_outer_spring_is_named(number):
-    spring = {"kind": "spring", "stiffness": "20 N/mm", "free_length": "150 mm"}
-    rig = slide(force=[spring])
-    name = f"press.force.{number}"
-    wrong = rig.with_values({name: 1.2 * float(rig.parameters()[name])})
+    wrong = rig.with_values({name: factor * float(rig.parameters()[name])})
     log = virtual_log("slide_servo", rig, "steps", 5, duration=2.0, share=0.3)
     for model, expected in ((Model.of(rig), []), (Model.of(wrong), [name])):
         results = ask([Case("log", log, model, commanded(model, log))]).findings
@@ -160,22 +153,18 @@ def test_a_constant_force_that_nobody_wrote_down_is_named():
     assert size is not None and float(size[1]) == pytest.approx(-300.0, abs=20.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "factor"),
-    [("bulk_modulus", 1.2), ("carriage.damping", 2.0), ("carriage.mass", 1.1)],
-)
-def test_a_cause_of_most_of_the_residual_is_a_reservation(name, factor):
+@pytest.mark.slow
+def test_a_cause_of_most_of_the_residual_is_a_reservation():
     """The model follows the log well enough for every threshold, and is wrong."""
     rig = leaking_press()
     log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0)
-    wrong = rig.with_values({name: factor * float(rig.parameters()[name])})
-    verdicts = {}
-    for judged in (rig, wrong):
-        verdicts[judged is rig] = validate_rig(judged, [("log", log)])
-    assert verdicts[True].verdict == "accepted"
-    assert verdicts[False].verdict == "accepted with reservation"
-    (reservation,) = verdicts[False].reservations
-    assert name in reservation
+    assert validate_rig(rig, [("log", log)]).verdict == "accepted"
+    for name, factor in (("bulk_modulus", 1.2), ("carriage.damping", 2.0), ("carriage.mass", 1.1)):
+        wrong = rig.with_values({name: factor * float(rig.parameters()[name])})
+        verdict = validate_rig(wrong, [("log", log)])
+        assert verdict.verdict == "accepted with reservation"
+        (reservation,) = verdict.reservations
+        assert name in reservation
 
 
 def test_size_and_remedy_of_a_gain():
@@ -198,7 +187,7 @@ def test_a_leakage_far_beyond_its_slope_is_found_at_its_size():
     """By the slope it is a tenth of it; leakage to the outside is asked after that past a seal."""
     rig = leaking_press(2.0e-11)
     model = Model.of(rig.with_values({"press.leakage_internal": 0.0}))
-    log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0)
+    log = virtual_log("slide_servo", rig, "steps", 5, duration=2.0)
     first = ask([Case("log", log, model, commanded(model, log))]).findings[0]
     assert first.about == "press.leakage_internal"
     unit = 0.01 / 1.4e7 * np.pi / 4 * 0.05**2
@@ -371,20 +360,8 @@ def test_a_fault_has_the_size_of_its_projection_within_its_bounds():
         assert search._promise(fault, slope, search.left) == pytest.approx((promise, size))
 
 
-@pytest.mark.parametrize(
-    ("gain", "of", "noise", "count", "counts"),
-    [
-        (70.0, 500.0, 0.0, 1e4, True),
-        (49.0, 500.0, 0.0, 1e6, False),  # a trifle: a tenth of what exceeds the noise
-        (51.0, 1000.0, 500.0, 1e4, False),  # half of it is less than 30
-        (61.0, 1000.0, 500.0, 1e4, True),
-        (61.0, 1000.0, 500.0, 470.0, False),  # 470 · log(1000/939) = 29.6
-        (61.0, 1000.0, 500.0, 490.0, True),  # 30.8
-        (1000.0, 1000.0, 500.0, 2.0, True),
-    ],
-)
-def test_a_gain_counts_beyond_chance(gain, of, noise, count, counts):
-    assert search_of(U, noise, count)._counts(gain, of) == counts
+def test_a_gain_counts_by_the_noise_and_the_number_of_what_is_left():
+    assert [search_of(U, 500.0, n)._counts(61.0, 1000.0) for n in (470.0, 490.0)] == [False, True]
 
 
 def test_faults_of_a_search_have_a_slope_or_sizes_to_try(monkeypatch):
@@ -520,7 +497,9 @@ def test_what_is_asked_of_a_case_is_what_moves():
     assert asked_of(v=still, p_head=still, p_rod=moves) == ("press.p_rod",)
     assert asked_of(x=moves, p_head=still, p_rod=still) == ("press.v",)
     assert asked_of(x=still, p_head=still) == ()
+    assert asked_of(v=moves, qd=moves, p_head=moves) == ("press.v", "press.p_head")
     assert asked_of(x=moves, load_pressure=moves) == ("press.v", "press.load_pressure")
+    assert asked_of(v=moves, load_pressure=moves, p_head=moves) == ("press.v", "press.p_head")
     for meta, seen in (
         ({}, ("press.v", "p_supply")),
         ({SUPPLY: RECORDED}, ("press.v",)),
@@ -737,23 +716,6 @@ def test_what_is_left_is_in_units_of_a_blocks_noise():
     assert case.independent(slow) == pytest.approx(sum(each)) and sum(each) < 1200.0
     part = replace(case, scored=(2.0, 3.999))
     assert part.keep.sum() == 2000 and part.left(off).size == 800
-
-
-@pytest.mark.parametrize(
-    ("given", "channels"),
-    [
-        (("v", "qd", "p_head", "p_rod"), ("v", "p_head", "p_rod")),
-        (("v", "load_pressure", "p_head"), ("v", "p_head")),
-        (("x", "load_pressure"), ("v", "load_pressure")),
-        (("p_rod",), ("p_rod",)),
-    ],
-)
-def test_a_case_compares_a_rate_and_pressures_or_what_stands_for_them(given, channels):
-    y = np.sin(np.arange(400) * 0.05)
-    case = case_of({f"press.{word}": y for word in given})
-    assert case.channels == tuple(f"press.{word}" for word in channels)
-    still = case_of({f"press.{word}": 0.0 * y for word in given})
-    assert still.channels == ()
 
 
 def test_a_search_refines_only_what_has_a_slope_and_stays_within_bounds(monkeypatch):

@@ -125,42 +125,6 @@ def test_the_numbers_are_the_textbook_ones(arm, boom):
     assert channel.unit == "Pa"
 
 
-def test_thresholds_decide(arm, boom):
-    """Each kind of threshold can accept and reject, and says what was asked in the rig's units."""
-    slow = arm.with_values({"boom.joint_damping": 200.0})
-    nothing = {"fit_percent": {}, "natural_frequency_error": None}
-    for passes, asked, names in (
-        (
-            True,
-            {
-                "fit_percent": {"q": 10.0},
-                "max_error": {"q": "5 deg"},
-                "damping_ratio_error": 2.0,
-                "natural_frequency_error": 0.1,
-            },
-            {"boom.q fit", "boom.q max error", "boom damping ratio", "boom natural frequency"},
-        ),
-        (
-            False,
-            {
-                "fit_percent": {"q": 99.9},
-                "max_error": {"q": "0.01 deg", "p_head": "1 bar"},
-                "damping_ratio_error": 0.2,
-                "whiteness": True,
-            },
-            {"boom.q fit", "boom.q max error", "boom.p_head max error", "boom damping ratio"}
-            | {"boom.p_head residual autocorrelation"},
-        ),
-    ):
-        result = judged(slow, [("boom", boom)], thresholds=Thresholds(**(nothing | asked)))
-        assert result.accepted is passes, result.reasons
-        checks = {check.what: check for check in result.logs[0].checks}
-        assert names <= {name for name, check in checks.items() if check.passed is passes}
-        assert passes or {f"boom: {checks[name].sentence}" for name in names} <= {*result.reasons}
-        if not passes:
-            assert checks["boom.p_head max error"].sentence.fields["allowed"] == "100 kPa"
-
-
 def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
     """Fewer than 1.5 cycles, or damped above 0.35: drift and ringing cannot be told apart."""
     known = {"natural_frequency": 20.0, "natural_frequency_std": 0.1, "damping_ratio_std": 0.01}
