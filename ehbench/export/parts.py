@@ -21,7 +21,7 @@ from ehbench.trial import Prepared, Session
 from ehbench.trial.controllers import Compiled, Design
 from ehbench.vocabulary.errors import InputError, one_line
 from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.quantities import STROKES, VOCABULARY
 from ehbench.vocabulary.settings import setting
 
 
@@ -99,9 +99,10 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
 
 def _measured(rig: Rig, name: str, role: str, place: str, start: float) -> Variable:
     """A channel or state; a joint coordinate of a slide has unit and meaning of a stroke."""
-    row = {"q": VOCABULARY["x"], "qd": VOCABULARY["v"]}.get(name.rsplit(".", 1)[-1])
-    if row is None or rig.mechanism.kind != "slide":
+    word = STROKES.get(name.rsplit(".", 1)[-1])
+    if word is None or rig.mechanism.kind != "slide":
         return Variable.of(name, role, place, start)
+    row = VOCABULARY[word]
     return Variable.of(name, role, place, start, unit=row.unit, about=row.meaning)
 
 
@@ -139,6 +140,21 @@ def _rig_parameters(
             yield item._replace(places=places, about=text)
 
 
+def _references(cylinder: str, law: Compiled) -> Iterator[Variable]:
+    """The desired motion, and what of it lies ahead of a law that looks ahead."""
+    row, first = VOCABULARY["v_desired"], law.references[0]
+    names = [f"{key}_desired" for key in "xvaj"]
+    names += [f"reference_{i}" for i in range(4, first.size)]
+    ahead = ("min_ahead", "max_ahead") if law.law.preview else ()
+    for i, name in enumerate(names):
+        more = {}
+        if (end := i - first.size + len(ahead)) >= 0:
+            name = f"v_{ahead[end]}"
+            about = message(f"export.{ahead[end]}", seconds=law.law.preview)
+            more = dict(unit=row.unit, lower=row.lower, upper=row.upper, about=about)
+        yield Variable.of(f"{cylinder}.{name}", "input", f"reference[{i}]", first[i], **more)
+
+
 def controller_part(trial: Prepared, session: Session, law: Compiled, design: Design) -> Component:
     """A built-in controller of a trial, one tick a step, as it is on a machine whose valves may
     have hysteresis.
@@ -150,11 +166,7 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
         design: of its cylinder.
     """
     law, channels = law.afresh(), trial.machine.channels
-    width, columns = law.references.shape[1], len(law.channels)
-    names = [f"{design.cylinder}.{key}_desired" for key in "xvaj"]
-    names += [f"{design.cylinder}.reference_{i}" for i in range(4, width)]
-    if law.law.preview:
-        names[-2:] = (f"{design.cylinder}.v_{end}_ahead" for end in ("min", "max"))
+    columns = len(law.channels)
     observed = np.flatnonzero(law.controller.observed)
     plant, edges = design.model.plant, design.circuit.edges[design.at_cylinder]
     valves = sorted({int(v) for v in edges["valve"]})
@@ -162,10 +174,7 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
     variables = [
         _measured(trial.rig, channels[i], "input", f"sample[{i}]", samples[0, i]) for i in observed
     ]
-    variables += [
-        Variable.of(name, "input", f"reference[{i}]", law.references[0, i])
-        for i, name in enumerate(names)
-    ]
+    variables += _references(design.cylinder, law)
     variables += [
         Variable.of(f"{design.valves[i]}.command", "output", f"command[{i}]", 0.0,
                     lower=float(plant.valves.lowest[i]), upper=float(plant.valves.highest[i]))

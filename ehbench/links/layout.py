@@ -15,7 +15,7 @@ from ehbench.links.responder import HEADER
 from ehbench.machines.protocol import Inputs
 from ehbench.parts.sample import sample_channels
 from ehbench.plant.model import Model
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.quantities import STROKES, VOCABULARY
 
 Mode = Literal["stream", "setpoint", "buffered"]
 MODES: tuple[Mode, ...] = ("stream", "setpoint", "buffered")
@@ -28,12 +28,14 @@ class Layout:
     """The values behind the header of a datagram.
 
     ``channels`` of the sample, then the commands that acted up to it, come up. ``commands``, or the
-    ``references`` of a target that closes the loop, go down. All are SI; commands are in volts."""
+    ``references`` of a target that closes the loop, go down. All are SI; commands are in volts.
+    ``slides``: q and qd are the stroke and the speed of a slide."""
 
     rig: str
     channels: tuple[str, ...]
     commands: Inputs
     references: tuple[str, ...]
+    slides: bool = False
 
     @classmethod
     def of(cls, rig: Rig) -> Layout:
@@ -41,7 +43,8 @@ class Layout:
         model = Model.of(rig)
         cylinders = model.layout.cylinders
         references = tuple(f"{name}.{word}" for name in cylinders for word in REFERENCES)
-        return cls(rig.name, sample_channels(cylinders), Inputs.of(model), references)
+        slides = rig.mechanism.kind == "slide"
+        return cls(rig.name, sample_channels(cylinders), Inputs.of(model), references, slides)
 
     def down(self, mode: Mode) -> tuple[str, ...]:
         """Names of what goes down; a row of a table has its number before its commands."""
@@ -78,7 +81,9 @@ def csv_text(layout: Layout, rate: float) -> str:
     lines = ["direction,index,name,unit,meaning"]
     for way, names in (("up", layout.up), ("down", layout.down("stream"))):
         for index, name in enumerate((*HEADER, *names)):
-            row = VOCABULARY.get(name.rsplit(".", 1)[-1]) if index >= len(HEADER) else None
+            word = name.rsplit(".", 1)[-1]
+            word = STROKES.get(word, word) if layout.slides else word
+            row = VOCABULARY.get(word) if index >= len(HEADER) else None
             about = f"{row.unit},{row.meaning.split(',')[0]}" if row else ",header"
             lines.append(f"{way},{index},{name},{about}")
     numbers = ", ".join(f"{mode} {layout.number(mode)}" for mode in MODES)

@@ -62,6 +62,8 @@ def named_result(run: Saved, name: str) -> NamedResult:
     if len(short) == 1:
         return short[0]
     if near:
+        whole = [item for item in near if _pieces(item.path)[: len(required)] == required]
+        short = whole or short  # the parts of a table of that name come before others' numbers
         paths = ", ".join(item.path for item in short[:8])
         text = message("report.several_numbers", count=len(short), name=name, paths=paths)
     else:
@@ -91,7 +93,7 @@ def _numbers(file: str, value: Any, where: list[str]) -> Iterator[NamedResult]:
                 yield from _numbers(file, inside, [*where, key])
             elif not _is_number(whole):
                 ends, path = _pair(value.get(f"{key}_interval")), ".".join([*where, key])
-                yield NamedResult(file, path, inside, _unit_of({}, [key]), ends, about)
+                yield NamedResult(file, path, inside, _unit_of({}, [*where, key]), ends, about)
     elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
         outer = where if where[-1:] != ["parameters"] else where[:-1]
         for index, item in enumerate(value):
@@ -106,8 +108,8 @@ def _is_number(value: Any) -> TypeGuard[bool | int | float]:
 def _unit_of(table: Mapping[str, Any], where: Sequence[str]) -> str:
     if isinstance(table.get("unit"), str):
         return table["unit"]
-    row = VOCABULARY.get(where[-1]) if where else None
-    return row.unit if row else ""
+    rows = (VOCABULARY.get(word) for word in where[:-3:-1])  # its own, else its table's
+    return next((row.unit for row in rows if row), "")
 
 
 def _pair(value: Any) -> tuple[float, float] | None:
@@ -226,7 +228,7 @@ def origin(name: str, folder: Path) -> Origin:
         windows=windows,
         sources=tuple(traced.sources),
         recipe=_recipe_line(traced.recipe, result),
-        rig=None if rig is None else _rig_line(rig, result),
+        rig=None if rig is None or not _in_rig(traced.run, result) else _rig_line(rig, result),
         changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
     )
 
@@ -308,6 +310,14 @@ def _recipe_line(recipe: Source, result: NamedResult) -> TextLine | None:
     naming = (i for i, row in enumerate(rows, 1) if any(t in row.partition("#")[0] for t in tokens))
     line = next(naming, None) or line_of(text, ("data",)) or line_of(text, ("stage",))
     return None if line is None else TextLine(recipe.name, line, rows[line - 1].strip())
+
+
+def _in_rig(run: Saved, result: NamedResult) -> bool:
+    """Whether a number is a parameter of the rig, not one of a run that only ends like it."""
+    try:
+        return not run.has_rig or result.path in run.rig.parameters()
+    except EhbenchError:
+        return True  # a rig that cannot be read says nothing
 
 
 def _rig_line(source: Source, result: NamedResult) -> TextLine | None:

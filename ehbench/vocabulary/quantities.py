@@ -50,6 +50,7 @@ def _rows() -> Iterator[Quantity]:
 
 
 VOCABULARY: dict[str, Quantity] = {row.name: row for row in _rows()}
+STROKES = {"q": "x", "qd": "v"}  # what a joint coordinate and its rate are on a slide
 
 
 def quantity(channel: str) -> Quantity:

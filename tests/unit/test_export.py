@@ -112,6 +112,14 @@ def test_c_equals_a_trial_to_the_bit(name, law, tmp_path):
                 assert np.array_equal(recorded, column, equal_nan=True), channel
 
 
+def test_every_input_of_a_law_has_unit_and_meaning():
+    controller = export_of("slide_servo", "arc", parts="controller").components[0]
+    inputs = controller.role("input")
+    assert [item.name for item in inputs if not item.unit or not item.about] == []
+    ahead = [item for item in inputs if item.name.endswith("_ahead")]
+    assert [item.unit for item in ahead] == ["m/s", "m/s"] and ahead[0].about != ahead[1].about
+
+
 @needs_compiler
 @pytest.mark.slow
 def test_names_and_texts_of_any_kind_are_exported(tmp_path):

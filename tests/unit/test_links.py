@@ -16,7 +16,7 @@ from ehbench.links.arming import run_remote, stopping_distances, token_of
 from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
 from ehbench.links.clock import estimated, exchanges_in
-from ehbench.links.layout import Layout
+from ehbench.links.layout import Layout, csv_text
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import Quality
 from ehbench.links.responder import (
@@ -50,6 +50,14 @@ MOTION = {
     "jerk": "20 m/s^3",
 }
 KEYS = {"rate": "250 Hz", "motion": MOTION, "controller": {"kind": "position"}}
+
+
+def test_a_slides_joint_coordinate_is_a_stroke_in_the_table_of_packets():
+    rows = csv_text(LAYOUT, 250.0).splitlines()
+    about = {row.split(",")[2]: row.split(",")[3:] for row in rows if row.startswith("up,")}
+    assert about["press.q"] == about["press.x"] and about["press.qd"] == about["press.v"]
+    crane = csv_text(Layout.of(shipped("crane_proportional")), 250.0)
+    assert "lift.q,rad," in crane and "lift.qd,rad/s," in crane
 
 
 def trial(on="bench", rig=RIG, **keys):

@@ -157,3 +157,11 @@ def test_steps_come_in_the_order_of_what_speaks_for_them():
     texts = [Message("", "", {"remedy": name} | more) for name, more in given.items()]
     order = [item["remedy"] for item in doubts({"reasons": texts[:2], "reservations": texts[2:]})]
     assert order == ["exchanged", "turned", "cause", "supply", "fixed"]
+
+
+def test_a_fixed_number_that_rejects_comes_before_a_cause_that_moves_none():
+    """A boom's weight is off: a residual follows a sensor's offset more, and moves no number."""
+    mass = Message("", "", {"remedy": "mass", "estimate": "bulk_modulus", "share": 0.61})
+    offset = Message("", "", {"remedy": "offset", "cause": "it reads too much", "share": 0.92})
+    for reasons, others, first in (([mass], [offset], "mass"), ([], [mass, offset], "offset")):
+        assert doubts({"reasons": reasons, "reservations": others})[0]["remedy"] == first

@@ -250,14 +250,15 @@ def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
 
 def test_a_stopped_trial_and_one_of_the_users_own(unpainted, tmp_path):
     sentence = "boom.p_head = 9 MPa passed pressure_max, which sets in at 8 MPa, at t = 1.2 s"
-    stopped = trial_run(tmp_path, "stopped", sentence)
+    stopped = trial_run(tmp_path, "stopped", sentence, on="model")
     alike = {"a": TRACKED["arc"], "b": TRACKED["arc"]}
     own = trials_run(tmp_path, "own", alike, payloads=["none"], notes=False)
     for folder in (stopped, own):
         draw(folder)
     text = plain(build([stopped, own]))
     assert "stopped" in text and f"Stopped by a limit: {sentence}." in text
-    assert captions(stopped)["trial_boom"].endswith(f"Stopped: {sentence}.")
+    assert captions(stopped)["trial_boom"].startswith(f"Stopped: {sentence}. ")
+    assert "run the same on the machine" not in plain(build([stopped])).lower()  # nor stop there
     assert "Best" not in captions(own)["compare_no_load_70"]  # a draw has no winner
 
 

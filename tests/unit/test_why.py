@@ -222,6 +222,23 @@ def test_a_name_of_nothing_or_of_several_is_refused_with_what_is_near(shop):
         origin("fit_percent", shop / "reports" / "fit_1")
 
 
+def test_a_tunings_numbers_have_their_unit_and_no_line_of_the_rig(shop):
+    """Its damping ratio is not that of a spool; its gains come before those it did not take."""
+    (shop / "tune.toml").write_text('stage = "tune"\nrig = "rig.toml"\n')
+    gains = {"extend_resistive": 2.8e-11, "retract_resistive": 2.8e-11}
+    tuning = {"damping_ratio": 0.19, "feedback_gain": gains}
+    tuning["alternatives"] = [{"feedback_gain": value} for value in (2.7e-11, 2.6e-11)]
+    folder, inputs = shop / "reports" / "tune_1", [("rig", shop / "rig.toml")]
+    write_run(folder, "tune", shop / "tune.toml", inputs, {"tuning.json": tuning}, what="tuning")
+    shutil.copy(shop / "rig.toml", folder / "rig.toml")
+    found = origin("damping_ratio", folder)
+    assert found.result.value == 0.19 and found.rig is None
+    with pytest.raises(InputError, match="2 numbers") as error:
+        origin("feedback_gain", folder)
+    assert "feedback_gain.extend_resistive" in str(error.value)
+    assert origin("feedback_gain.extend_resistive", folder).result.unit == "m^3/(s*Pa)"
+
+
 def edit(name, old, new):
     def change(shop):
         path = shop / name

@@ -191,7 +191,8 @@ def trials_findings(run: Saved) -> Findings:
         numbers.append(Headline(STEPS, label, value, about, _modelled(cases)))
     figures = [{"kind": kind} for kind in ("energy", "compare", "trial")]
     steps = [message("steps.stopped", **names(run))] if against else []
-    steps += [message("steps.on_machine")] * (bool(cases) and _modelled(cases))
+    if cases and _modelled(cases) and not against:  # what stopped here would stop there
+        steps = [message("steps.on_machine")]
     return Findings(numbers, figures, against, steps)
 
 

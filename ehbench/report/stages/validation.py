@@ -1,5 +1,6 @@
 """Validation: verdict, reasons, checks, and each log's errors, ringing, correlations."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -244,11 +245,20 @@ def held_out(table: Table) -> list[Table]:
 
 def doubts(table: Table) -> list[Mapping[str, Any]]:
     """The fields of what speaks against a model and can be put right: what is odd about its logs,
-    then what explains a tenth more of a residual before what explains less."""
-    against = [*table["reasons"], *table.get("reservations", [])]
-    every = [getattr(item, "fields", {}) for item in against]
-    every = [fields for fields in every if fields.keys() & {"remedy", "where"}]
-    return sorted(every, key=lambda fields: -weight(fields))
+    then what explains a tenth more of a residual before what explains less. A cause that moves no
+    number comes after a fixed number for which a model is rejected."""
+    reasons, others = (
+        [getattr(item, "fields", {}) for item in table.get(key, [])]
+        for key in ("reasons", "reservations")
+    )
+    denied = min((weight(fields) for fields in reasons if "estimate" in fields), default=math.inf)
+    caps = [math.inf] * len(reasons) + [
+        denied if "cause" in fields else math.inf for fields in others
+    ]
+    every = zip([*reasons, *others], caps, strict=True)
+    able = [(item, cap) for item, cap in every if item.keys() & {"remedy", "where"}]
+    able.sort(key=lambda pair: -min(weight(pair[0]), pair[1]))
+    return [item for item, _ in able]
 
 
 def left_over(table: Table) -> list[str]:
