@@ -245,6 +245,7 @@ def judge(readings: Readings, shape: Shape, cells: Cells, lone: np.ndarray) -> S
     covariance = np.linalg.inv(full(fit.spline.penalised(fit.band, shape.smoothing)))
     parameters = float(np.sum(covariance * full(fit.band)))
     predicted = fit.spline.design(cells.u, cells.s) @ coefficients
+    flow = fit.spline.design(readings.u, readings.s) @ coefficients
 
     def lack(judged: Cells) -> float:
         misfit = float(judged.weight @ (judged.y - predicted) ** 2)
@@ -255,11 +256,11 @@ def judge(readings: Readings, shape: Shape, cells: Cells, lone: np.ndarray) -> S
         coefficients=coefficients,
         covariance=covariance,
         parameters=parameters,
-        cells=cells,
+        cells=replace(cells, heard=readings.heard(flow)),
         lone=lone,
         lack=lack(cells),
         widening=lack(used),
-        flow=fit.spline.design(readings.u, readings.s) @ coefficients,
+        flow=flow,
     )
 
 
