@@ -776,6 +776,21 @@ def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
         assert error.value.key == key
 
 
+def test_a_draft_takes_the_drop_from_the_names_of_columns_of_flow(tmp_path, undrawn):
+    head = "Consigne (V);Q @ 10 bar (l/min);Q @ 20,5 bar (l/min)\n"
+    (tmp_path / "sh.csv").write_text(head + "".join(f"{k},0;{k}1,5;{k}2,5\n" for k in range(1, 9)))
+    made = mapping.draft(tmp_path / "sh.csv", tmp_path / "sh.map.toml")
+    data = read_flowmeter(tmp_path / "sh.csv", load_columns(made.path))
+    assert sorted({*data.pressure_drop}) == pytest.approx([1e6, 2.05e6]) and len(data) == 16
+    # where a column has the drops, two of flow are two guesses
+    head = head.replace("Consigne (V)", "dp (bar)")
+    (tmp_path / "sh.csv").write_text(head + "".join(f"{k},0;{k}1,5;{k}2,5\n" for k in range(1, 9)))
+    made = mapping.draft(tmp_path / "sh.csv", tmp_path / "other.map.toml")
+    assert {one.channel for one in load_columns(made.path).columns.names.values()} == {
+        "pressure_drop"
+    }
+
+
 def test_a_bad_reading_is_refused_or_left_out(undrawn, tmp_path):
     raw_readings(tmp_path / "sh.csv")
     text = (tmp_path / "sh.csv").read_text().split("\n")
