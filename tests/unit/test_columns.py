@@ -14,6 +14,7 @@ from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_
 from ehbench.data import read, read_log
 from ehbench.data.flowmeter import read_flowmeter
 from ehbench.data.readers import open_source
+from ehbench.data.readers.table import unit_in
 from ehbench.data.record import lost, recovered
 from ehbench.report import terminal
 from ehbench.signals.series import lowpass
@@ -774,6 +775,14 @@ def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
         with pytest.raises(InputError) as error:
             read_flowmeter(tmp_path / "wide.csv", load_columns(own))
         assert error.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Flow Rate LPM", "L/min"), ("Q_lpm", "L/min"), ("flow cm3/s", "cm3/s"), ("Q m³/h", "m³/h")],
+)
+def test_a_name_of_a_flow_ends_in_its_unit(name, unit):
+    assert unit_in(name) == unit
 
 
 def test_a_draft_takes_the_drop_from_the_names_of_columns_of_flow(tmp_path, undrawn):
