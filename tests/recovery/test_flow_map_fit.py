@@ -188,6 +188,13 @@ def test_a_supply_that_gives_way_with_the_flow_leaves_no_valve_idle():
     assert compare(found, poppet)[1] < 0.005
 
 
+def test_readings_of_two_valves_under_one_name_are_doubted():
+    few = {"drops": DROPS[::3], "commands": COMMANDS[::2]}
+    one, other = readings(poppet, 1, **few), readings(poppet, 2, **few, scale=1.5)
+    both = {name: np.concatenate([one[name], other[name]]) for name in one}
+    assert "scatter" in keys(fit(both)) and "scatter" not in keys(fit(one))
+
+
 def test_scale_does_not_matter():
     few, scales = DROPS[::2], (1.0, 0.01 / 8, 100 / 8)
     one, *others = (fit(readings(compensated, 9, drops=few, scale=by)) for by in scales)
