@@ -482,6 +482,21 @@ def test_readings_go_to_the_edge_that_they_name(rig, valve, way, sign, name, sid
     assert edge.rows.command == pytest.approx(abs(sign) * np.linspace(0.5, 5.0, 20))
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_measured_command_scatters_about_rest(sign):
+    """By up to a hundredth of the largest, 10 V."""
+    valve = {1: "servo_supply_head", -1: "servo_supply_rod"}[sign]
+    command = sign * np.linspace(0.5, 5.0, 20)
+    command[:2] = -0.099 * sign, 0.002 * sign
+    (edge,) = tables.prepare_readings(
+        shipped("slide_servo"), [rows_of(valve, command=command)]
+    ).edges
+    assert edge.rows.command[:3] == pytest.approx([0.0, 0.002, abs(command[2])])
+    command[0] = -0.101 * sign
+    with refused("flow_maps.wrong_sign"):
+        tables.prepare_readings(shipped("slide_servo"), [rows_of(valve, command=command)])
+
+
 @pytest.mark.parametrize(
     ("flow", "ratio"),
     [(1e-4, None), (1.1e-6, None), (0.9e-6, 0.9e-3), (0.019, None), (0.022, 20.9)],
