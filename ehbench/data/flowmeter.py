@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.recipe.columns import READING_WORDS, ColumnMap
+from ehbench.config.recipe.columns import READING_WORDS, ColumnMap, MappedColumn
 from ehbench.data.channels import dialect_of, overruled, si_of
 from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
@@ -287,7 +287,7 @@ def _named(path: Path) -> _Sheet:
             units[name] = unit
         elif unit not in ("", "-", "1"):
             raise UnitError(message("data.unit_of_words", name=name, unit=unit), **where)
-    _check_columns(places, where)
+    _check_columns(places, where, "data.missing_column")
     values, odd = table.numbers([places[name] for name in units])
     numbers = {
         name: to_si(values[:, at], unit, VOCABULARY[name])
@@ -297,8 +297,8 @@ def _named(path: Path) -> _Sheet:
     return _Sheet(path, table.lines, numbers, dict(zip(units, odd, strict=True)), words, units)
 
 
-def _check_columns(names: Mapping[str, int], where: Mapping[str, Any]) -> None:
-    """Refuse a header that lacks a column, or says the drop twice."""
+def _check_columns(names: Collection[str], where: Mapping[str, Any], lacks: str) -> None:
+    """Refuse a header or map that ``lacks`` a column, or says the drop twice."""
     sides = any(name in names for name in _PRESSURES)
     if "pressure_drop" in names and sides:
         raise InputError(message("data.drop_and_pressures"), **where)
@@ -310,41 +310,78 @@ def _check_columns(names: Mapping[str, int], where: Mapping[str, Any]) -> None:
     if missing := [name for name in needed if name not in names]:
         shown = [f"{n} [{VOCABULARY[n].display}]" if n in _NUMBERS else n for n in missing]
         columns, cells = " and ".join(missing), " and ".join(f'"{text}"' for text in shown)
-        raise InputError(message("data.missing_column", columns=columns, cells=cells), **where)
+        raise InputError(message(lacks, columns=columns, cells=cells), **where)
 
 
 def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
     """The readings of each table of a foreign file that has all columns of a map, of the first
     where there are less than two. Where no column names the valve, the table or the file does.
     """
-    whole, sheets = open_source(path, dialect_of(columns)), []
-    tables = alike(whole, list(columns.columns.names))
-    each = [(replace(whole, tables=(table,)), table.name) for table in tables]
-    stem = Path(path.name.removesuffix(".gz")).stem
-    for source, valve in each if len(each) > 1 else [(whole, stem)]:
-        table, numbers, odd, words, notes = source.tables[0], {}, {}, {}, []
-        lines = table.lines or range(2, table.size + 2)
-        for name, mapped in columns.columns.names.items():
-            what = mapped.channel.rpartition(".")[2]
-            if what in READING_WORDS and name in table.words:
-                words[what] = table.words[name]
-                continue
-            index, place = source.place(name, path)
-            if index:
-                other = source.tables[index].name
-                raise InputError(message("data.other_table", name=name, table=other), file=path)
-            column = table.columns[place]
-            if what in READING_WORDS:
-                words[what] = [f"{value:g}" for value in column.values]
-            elif what != "t":
-                numbers[what] = si_of(name, mapped, column, columns, path, lines)
-                odd[what] = column.odd
-                notes += overruled(name, mapped, column, path)
-        words.setdefault("valve", [valve] * table.size)
-        units = {name: VOCABULARY[name].unit for name in numbers}
-        _check_columns(dict.fromkeys([*numbers, *words], 0), columns.at("names"))
-        sheets.append(_Sheet(path, lines, numbers, odd, words, units, notes))
+    source = open_source(path, dialect_of(columns))
+    tables = alike(source, list(columns.columns.names))
+    if len(tables) < 2:
+        return _mapped_table(path, source, Path(path.name.removesuffix(".gz")).stem, columns)
+    each = [(replace(source, tables=(table,)), table.name) for table in tables]
+    return [sheet for item in each for sheet in _mapped_table(path, *item, columns)]
+
+
+def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> list[_Sheet]:
+    """The readings of the first table of a source by each of its columns of flow, those of a valve
+    where neither a column nor a channel names it.
+    """
+    table, numbers, odd, words, notes = source.tables[0], {}, {}, {}, []
+    lines = table.lines or range(2, table.size + 2)
+    flows: list[tuple[MappedColumn, np.ndarray, Mapping[int, str]]] = []
+    for name, mapped in columns.columns.names.items():
+        of, _, what = mapped.channel.rpartition(".")
+        valve = of if of and what in ("command", "flow") else valve
+        if what in READING_WORDS and name in table.words:
+            words[what] = table.words[name]
+            continue
+        index, place = source.place(name, path)
+        if index:
+            other = source.tables[index].name
+            raise InputError(message("data.other_table", name=name, table=other), file=path)
+        column = table.columns[place]
+        if what in READING_WORDS:
+            words[what] = [f"{value:g}" for value in column.values]
+        elif what != "t":
+            values = si_of(name, mapped, column, columns, path, lines)
+            if what == "flow":
+                flows.append((mapped, values, column.odd))
+            else:
+                numbers[what], odd[what] = values, column.odd
+            notes += overruled(name, mapped, column, path)
+    words.setdefault("valve", [valve] * table.size)
+    sheets, where = [], columns.at("names")
+    for mapped, values, cells in flows or [(None, np.empty(0), {})]:
+        at = {"command": mapped.command, "pressure_drop": mapped.pressure_drop} if mapped else {}
+        said = {what: np.full(table.size, float(value)) for what, value in at.items() if value}
+        if twice := [what for what in said if what in numbers]:
+            raise InputError(message("data.column_twice", name=twice[0]), **where)
+        here = numbers | said | ({"flow": values} if mapped else {})
+        _check_columns([*here, *words], where, "data.missing_in_map")
+        units = {what: VOCABULARY[what].unit for what in here}
+        sheet = _Sheet(path, lines, here, {**odd, "flow": cells}, words, units, notes)
+        sheets.append(_read_alone(sheet) if said else sheet)
+        notes = []
     return sheets
+
+
+def _read_alone(sheet: _Sheet) -> _Sheet:
+    """The rows of one of several columns of flow that were read: the others are blank."""
+    flow, cells = sheet.numbers["flow"], sheet.odd["flow"]
+    rows = [k for k in range(flow.size) if math.isfinite(flow[k]) or not is_hole(cells.get(k, ""))]
+    return replace(
+        sheet,
+        lines=[sheet.lines[k] for k in rows],
+        numbers={what: values[rows] for what, values in sheet.numbers.items()},
+        odd={
+            what: {at: texts[k] for at, k in enumerate(rows) if k in texts}
+            for what, texts in sheet.odd.items()
+        },
+        words={what: [texts[k] for k in rows] for what, texts in sheet.words.items()},
+    )
 
 
 def alike(source: Source, names: Sequence[str] | None = None) -> list[SourceTable]:

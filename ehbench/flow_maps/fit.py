@@ -229,7 +229,7 @@ def _iterate(readings: Readings, leak: Leak | None) -> Fit:
                 error / variance,
             )
             before = keep
-            alone = unbacked(readings, noise, cells.heard, flow)
+            alone = unbacked(readings, noise, solution.cells.heard, flow)
             # the farthest first: what seems far next to it may be near once it is out
             far = np.abs(sigmas)
             worst = max(READING.outlier, 0.75 * float(far[keep & alone].max(initial=0.0)))

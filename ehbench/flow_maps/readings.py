@@ -30,6 +30,9 @@ class ReadingSettings:
 
     spans: int = setting(24, "", "largest number of spans along the root of the drop", "seldom met")
     effect: float = setting(0.1, "", "smallest change of flow, of the largest", "else no valve")
+    across: float = setting(
+        0.5, "", "smallest share of the commands at one drop that tells the effect", "most of them"
+    )
     sweep: float = setting(0.15, "", "smallest share of readings either way", "else an order")
     outlier: float = setting(5.0, "", "standard deviations of an outlier", "1 in 10⁶ by chance")
     outliers: float = setting(0.05, "", "largest share of outliers", "slips of the pen are rare")
@@ -220,6 +223,10 @@ class Readings:
         """Spans along the root of the drop."""
         return self.axis.breaks.size - 1
 
+    def heard(self, flow: np.ndarray) -> np.ndarray:
+        """The scaled flow of each reading, a silent one where a map has it, up to its limit."""
+        return np.where(self.silent, np.clip(flow, 0.0, self.limit / self.rated), self.y)
+
     def places(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Commands and roots counted in commands measured and spans, shape (points, 2)."""
         return np.column_stack(
@@ -266,7 +273,7 @@ def sort_readings(
     Raises:
         ValueError: a number that is not finite, a negative opening.
         InsufficientData: no drop above zero, fewer than 4 commands or 4 drops, no flow at any
-            command, or one that does not depend on the command.
+            command, or one that does not depend on the command or falls with it.
     """
     u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
     one_drop = drop.size > 0 and bool(np.isnan(drop).all())
@@ -326,12 +333,18 @@ def _rated(r: Readings) -> Readings:
         raise InsufficientData(message("flow_maps.no_flow", map=r.who))
     r = replace(r, rated=rated, y=r.q / rated)
     pairs, index = np.unique(np.column_stack([r.at_drop, r.level]), axis=0, return_inverse=True)
-    middle, drop = medians(r.y, index.ravel()), pairs[:, 0]
-    spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
-    if spread and np.median(spread) < SETTINGS.effect:
-        low, high = r.show.volts(r.u.min()), r.show.volts(r.u.max())
-        fields = {"change": float(np.median(spread)), "low": low, "high": high}
-        raise InsufficientData(message("flow_maps.idle", map=r.who, **fields))
+    middle, (drop, level) = medians(r.y, index.ravel()), pairs.T
+    # where the supply gives way, most drops are of one command or two
+    each = (drop == k for k in np.unique(drop))
+    least = SETTINGS.across * np.ptp(r.commands)
+    wide = [middle[at] for at in each if np.ptp(r.commands[level[at]]) >= least]
+    fields = {"low": r.show.volts(r.u.min()), "high": r.show.volts(r.u.max())}
+    change = float(np.median([*map(np.ptp, wide)])) if wide else 1.0
+    if change < SETTINGS.effect:
+        raise InsufficientData(message("flow_maps.idle", map=r.who, change=change, **fields))
+    falls = [flows[0] - flows[-1] for flows in wide]
+    if wide and min(falls) > 0.0 and (fall := float(np.median(falls))) > SETTINGS.effect:
+        raise InsufficientData(message("flow_maps.open_at_rest", map=r.who, fall=fall, **fields))
     return r
 
 
@@ -343,6 +356,7 @@ def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
         rows = np.flatnonzero(trial == item)
         rows = rows[np.argsort(line[rows], kind="stable")]
         step = np.sign(np.diff(u[rows], prepend=u[rows[0]]))
+        step *= np.diff(line[rows], prepend=line[rows[0]]) != 0  # side by side: in no order
         sweep[rows] = step[np.maximum.accumulate(np.where(step != 0, np.arange(rows.size), 0))]
     fewest = min(np.count_nonzero(sweep > 0), np.count_nonzero(sweep < 0))
     return sweep if fewest >= SETTINGS.sweep * u.size else np.zeros(u.size, int)
@@ -458,7 +472,7 @@ class Cells:
 def gather_cells(r: Readings, noise: Noise, keep: np.ndarray, flow: np.ndarray) -> Cells:
     """The cells' means, given the map's scaled flow at each reading."""
     limit, std = r.limit / r.rated, noise.std(r, flow)
-    heard = np.where(r.silent, np.clip(flow, 0.0, limit), r.y)
+    heard = r.heard(flow)
     # whether a reading counts must not depend on its own noise, so the map says whether the meter
     # turns
     weight = np.where(keep & ((limit == 0) | (flow > limit + 2.0 * std)), 1.0 / std**2, 0.0)

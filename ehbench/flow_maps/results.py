@@ -540,6 +540,10 @@ def _warnings(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
         yield message("flow_maps.backed_outliers", count=far, all=size, sigmas=outlier)
     if not fit.replicates:
         yield message("flow_maps.no_repeats")
+    wide = result.keep & (solution.flow > 0.1)
+    share = result.noise.std(r, solution.flow)[wide] / solution.flow[wide]
+    if fit.replicates and share.size and np.median(share) > 0.05:
+        yield message("flow_maps.scatter", share=float(np.median(share)))
     if solution.widening > 2.0:
         yield message("flow_maps.lack_of_fit", times=solution.widening**0.5)
     if fit.status == "not_excited":

@@ -245,6 +245,7 @@ def judge(readings: Readings, shape: Shape, cells: Cells, lone: np.ndarray) -> S
     covariance = np.linalg.inv(full(fit.spline.penalised(fit.band, shape.smoothing)))
     parameters = float(np.sum(covariance * full(fit.band)))
     predicted = fit.spline.design(cells.u, cells.s) @ coefficients
+    flow = fit.spline.design(readings.u, readings.s) @ coefficients
 
     def lack(judged: Cells) -> float:
         misfit = float(judged.weight @ (judged.y - predicted) ** 2)
@@ -255,11 +256,11 @@ def judge(readings: Readings, shape: Shape, cells: Cells, lone: np.ndarray) -> S
         coefficients=coefficients,
         covariance=covariance,
         parameters=parameters,
-        cells=cells,
+        cells=replace(cells, heard=readings.heard(flow)),
         lone=lone,
         lack=lack(cells),
         widening=lack(used),
-        flow=fit.spline.design(readings.u, readings.s) @ coefficients,
+        flow=flow,
     )
 
 
@@ -327,10 +328,9 @@ def window_of(readings: Readings, cells: Cells, lack: float) -> Window:
     shut = np.flatnonzero((mean * np.sqrt(count * quiet / lack) <= 4.0) | (mean <= 1e-3))
     k = int(shut[-1]) + 1 if shut.size else 0
     if levels.size - k < 3:
-        open_levels = levels.size - k
-        raise InsufficientData(
-            message("flow_maps.mostly_shut", map=readings.who, open=open_levels, all=levels.size)
-        )
+        counts = {"open": levels.size - k, "all": levels.size}
+        fields = {**counts, "shut": readings.show.volts(levels[k - 1])}
+        raise InsufficientData(message("flow_maps.mostly_shut", map=readings.who, **fields))
     below = float(levels[k - 1]) if k else 0.0
     seen = np.flatnonzero(np.bincount(of, cells.weight)[: max(k - 1, 0)])
     return Window(

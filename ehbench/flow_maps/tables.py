@@ -92,7 +92,7 @@ def prepare_readings(
         rows = _commanded(valve, rows, driver, edge, left_out)
         losses += left_out.sentences([valve] * len(rows))
         details += left_out.details
-        opened = replace(rows, command=edge.sign * rows.command + 0.0)
+        opened = replace(rows, command=np.maximum(edge.sign * rows.command, 0.0))
         groups.setdefault((name, side, edge.sign), []).append(opened)
     edges, limit = [], float(rig.supply.flow_limit)
     for (name, side, sign), group in groups.items():
@@ -200,8 +200,9 @@ def _commanded(
     left out where they are few and that is allowed."""
     low, high = float(driver.command_min), float(driver.command_max)
     slack, command = SETTINGS.overshoot * (high - low), rows.command
+    noise = SETTINGS.overshoot * driver.largest  # of a command of none that is measured
     checks = {
-        "flow_maps.wrong_sign": edge.sign * command < 0,
+        "flow_maps.wrong_sign": edge.sign * command < -noise,
         "flow_maps.outside_driver": (command < low - slack) | (command > high + slack),
     }
     fields = {"valve": valve, "low": low, "high": high, "number": edge.sign}

@@ -526,7 +526,7 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
         sides[item.direction] = item
     for name, sides in grouped.items():
         if "forward" not in sides:
-            hint = "the direction in which a valve was measured alone is its forward one"
+            hint = "one that is measured one way has it as forward: turn the signs of drop and flow"
             raise InputError(f"'{name}' has a reverse map only", file=file, hint=hint)
     each = {name: ValveMaps(on["forward"], on.get("reverse")) for name, on in grouped.items()}
     return FlowMaps(each, file)

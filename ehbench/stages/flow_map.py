@@ -119,24 +119,26 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         for index, edge in enumerate(edges):
             if progress is not None:
                 progress(f"{edge.edge} {edge.side}", index / len(edges))
-            more = {"meter_limit": float(recipe.meter_limit)}
+            limit, pressure, command = (
+                recipe.meter_limit,
+                recipe.pressure_error,
+                recipe.command_error,
+            )
             if recipe.method == "steps":
-                pressure, volts = recipe.pressure_error, recipe.command_error
-                zero = (
-                    ERRORS.pressure * float(rig.supply.pressure)
-                    if pressure is None
-                    else float(pressure)
-                )
                 (valve,) = (
                     valve
                     for cylinder, valve in rig.valves()
                     for name in map(valve.edge_name, valve.edge)
                     if edge.edge in (name, f"{cylinder.name}.{name}")
                 )
-                command = ERRORS.command * valve.largest if volts is None else float(volts)
-                more = {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
+                limit = 0.0
+                zero = ERRORS.pressure * float(rig.supply.pressure)
+                pressure = zero if pressure is None else pressure
+                command = ERRORS.command * valve.largest if command is None else command
+            shared = {"meter_limit": float(limit), "command_std": float(command or 0.0)}
+            shared["drop_std"] = math.sqrt(2.0) * float(pressure or 0.0)
             try:
-                fits.append(readings.fit_edge(rig, edge, replace(options, **more)))
+                fits.append(readings.fit_edge(rig, edge, replace(options, **shared)))
             except InsufficientData as error:
                 errors[f"{edge.edge} {edge.side}"] = error
         without: list[str] = [

@@ -179,6 +179,21 @@ def test_drops_off_any_grid_and_a_supply_that_limits_them():
     assert inside.tolist() == [True, False, True]
 
 
+def test_a_supply_that_gives_way_with_the_flow_leaves_no_valve_idle():
+    """At each of its pressures the drop falls as the flow grows: only shut commands share one."""
+    supply, command = (a.ravel() for a in np.meshgrid(DROPS[4:], np.arange(0.0, 10.5, 0.5)))
+    drop = supply / (1.0 + 3.0 * (np.maximum(command - 1.6, 0.0) / 8.4) ** 2)
+    found = fit({"command": command, "pressure_drop": drop, "flow": poppet(drop, command)})
+    assert compare(found, poppet)[1] < 0.005
+
+
+def test_readings_of_two_valves_under_one_name_are_doubted():
+    few = {"drops": DROPS[::3], "commands": COMMANDS[::2]}
+    one, other = readings(poppet, 1, **few), readings(poppet, 2, **few, scale=1.5)
+    both = {name: np.concatenate([one[name], other[name]]) for name in one}
+    assert "scatter" in keys(fit(both)) and "scatter" not in keys(fit(one))
+
+
 def test_scale_does_not_matter():
     few, scales = DROPS[::2], (1.0, 0.01 / 8, 100 / 8)
     one, *others = (fit(readings(compensated, 9, drops=few, scale=by)) for by in scales)
@@ -216,6 +231,17 @@ def test_lack_of_fit_and_trials_that_differ_widen_the_intervals():
     # factors −3, 0 and 3 %: their mean is uncertain by 3 %/√3
     assert shifted.trial_scatter == pytest.approx(0.03 / np.sqrt(3), rel=0.1)
     assert plain.trial_scatter < 2e-3 and "trial_scatter" in keys(shifted)
+
+
+@pytest.mark.slow
+def test_readings_below_the_limit_of_the_meter_do_not_shift_the_deadband():
+    data = readings(poppet, 13, limit=0.0)
+    data["flow"] = np.where(data["flow"] < 0.3 * GPM, 0.0, data["flow"])  # the turbine stands still
+    for found in (fit(data), fit(data, meter_limit=0.3 * GPM)):  # zeros say so by themselves
+        assert found.deadband == pytest.approx(1.6, abs=3 * found.deadband_std)
+        assert compare(found, poppet)[0] >= 0.9
+        # they agree with any flow that the meter cannot show
+        assert np.abs(found.sigmas[data["flow"] == 0.0]).max() < 5.0
 
 
 def test_a_map_of_one_drop_and_few_readings_is_fitted():
@@ -267,6 +293,7 @@ def test_data_that_carry_no_map_are_refused():
     size = data["flow"].size
     for noise in (0.0, 0.02):
         refused_fit("idle", {**data, "flow": 7 * LPM * (1 + noise * rng.standard_normal(size))})
+    refused_fit("open_at_rest", {**data, "command": 10.0 - data["command"]})
     falls = data["flow"] * np.where(data["command"] > 5, 0.3, 1.0)
     refused_fit("no_map_fits", {**data, "flow": falls})
 

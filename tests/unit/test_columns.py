@@ -14,6 +14,7 @@ from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_
 from ehbench.data import read, read_log
 from ehbench.data.flowmeter import read_flowmeter
 from ehbench.data.readers import open_source
+from ehbench.data.readers.table import unit_in
 from ehbench.data.record import lost, recovered
 from ehbench.report import terminal
 from ehbench.signals.series import lowpass
@@ -744,6 +745,64 @@ def test_flowmeter_readings_take_a_map_too(valves, tmp_path):
     (tmp_path / "r.toml").write_text(timed)
     with pytest.raises(InputError, match="has no 'stop'"):
         inspection.check(tmp_path / "r.toml")
+
+
+AT_A_DROP = '{{ channel = "sh.flow", unit = "L/min", pressure_drop = "{drop} bar" }}'
+AT_A_COMMAND = '{{ channel = "sh.flow", unit = "L/min", command = "{command} V" }}'
+
+
+@pytest.mark.parametrize("by", ["pressure_drop", "command"])
+def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
+    """A wide table, as of a data sheet; a blank cell was not read."""
+    rest, shape = (
+        ("command", AT_A_DROP) if by == "pressure_drop" else ("pressure_drop", AT_A_COMMAND)
+    )
+    unit, scale = {"command": ("V", 1.0), "pressure_drop": ("bar", 1e5)}[rest]
+    (tmp_path / "wide.csv").write_text("x;a;b\n1;10;20\n2;;40\n3;30;60\n4;40;80\n")
+    lines = [f'x = "{rest} [{unit}]"']
+    lines += [f"{name} = {shape.format(drop=at, command=at)}" for name, at in (("a", 5), ("b", 8))]
+    own = tmp_path / "m.toml"
+    own.write_text("\n".join(["[names]", *lines]))
+    data = read_flowmeter(tmp_path / "wide.csv", load_columns(own))
+    assert data.groups() == [("sh", "forward")] and data.line.tolist() == [2, 4, 5, 2, 3, 4, 5]
+    assert data.flow * 6e4 == pytest.approx([10, 30, 40, 20, 40, 60, 80])
+    assert getattr(data, rest) / scale == pytest.approx([1, 3, 4, 1, 2, 3, 4])
+    other = {"command": 1.0, "pressure_drop": 1e5}[by]
+    assert getattr(data, by) / other == pytest.approx([5] * 3 + [8] * 4)
+    for wrong, key in (
+        ([lines[0], lines[1], lines[1].replace("a =", "b =")], "config.two_columns"),
+        ([lines[0], 'a = "flow [L/min]"'], "data.missing_in_map"),
+        ([f'b = "{by} [{ {"V": "bar", "bar": "V"}[unit] }]"', *lines[:2]], "data.column_twice"),
+        ([lines[0].replace('"', '{ channel = "', 1).replace(" [", '", command = "1 V", unit = "')
+          .replace(']"', '" }')], "config.read_at"),
+    ):  # fmt: skip
+        own.write_text("\n".join(["[names]", *wrong]))
+        with pytest.raises(InputError) as error:
+            read_flowmeter(tmp_path / "wide.csv", load_columns(own))
+        assert error.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Flow Rate LPM", "L/min"), ("Q_lpm", "L/min"), ("flow cm3/s", "cm3/s"), ("Q m³/h", "m³/h")],
+)
+def test_a_name_of_a_flow_ends_in_its_unit(name, unit):
+    assert unit_in(name) == unit
+
+
+def test_a_draft_takes_the_drop_from_the_names_of_columns_of_flow(tmp_path, undrawn):
+    head = "Consigne (V);Q @ 10 bar (l/min);Q @ 20,5 bar (l/min)\n"
+    (tmp_path / "sh.csv").write_text(head + "".join(f"{k},0;{k}1,5;{k}2,5\n" for k in range(1, 9)))
+    made = mapping.draft(tmp_path / "sh.csv", tmp_path / "sh.map.toml")
+    data = read_flowmeter(tmp_path / "sh.csv", load_columns(made.path))
+    assert sorted({*data.pressure_drop}) == pytest.approx([1e6, 2.05e6]) and len(data) == 16
+    # where a column has the drops, two of flow are two guesses
+    head = head.replace("Consigne (V)", "dp (bar)")
+    (tmp_path / "sh.csv").write_text(head + "".join(f"{k},0;{k}1,5;{k}2,5\n" for k in range(1, 9)))
+    made = mapping.draft(tmp_path / "sh.csv", tmp_path / "other.map.toml")
+    assert {one.channel for one in load_columns(made.path).columns.names.values()} == {
+        "pressure_drop"
+    }
 
 
 def test_a_bad_reading_is_refused_or_left_out(undrawn, tmp_path):

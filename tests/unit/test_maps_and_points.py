@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import astuple, replace
+from pathlib import Path
 from types import SimpleNamespace as Stub
 from typing import Any
 
@@ -16,6 +17,7 @@ from ehbench.flow_maps.readings import (
     Cells,
     FlowMapOptions,
     Noise,
+    Units,
     measure_noise,
     readings_table,
     sort_readings,
@@ -26,6 +28,7 @@ from ehbench.parts.line import drop_for
 from ehbench.parts.oil import bulk_of
 from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
+from ehbench.stages.flow_map import FlowMapStage
 from ehbench.tune import arc, draws, gains, linear, search, study
 from ehbench.tune import loop as loops
 from ehbench.tune import operating_point as steady
@@ -41,7 +44,7 @@ from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.terms import Z95
-from tests.settings import answers
+from tests.settings import answers, first_call
 from tests.shared import refused, shipped, slide
 
 TICK = 1e-3
@@ -243,6 +246,7 @@ def test_readings_that_stand_alone_are_off_by_their_share_of_the_map():
     solution = Stub(lone=np.array([False, True, True]), flow=np.full(5, 0.4), widening=1.0)
     keep = np.array([True, True, True, True, False])
     result: Any = Stub(readings=r, solution=solution, keep=keep, sigmas=np.zeros(5))
+    result.noise = Stub(std=lambda _, flow: 0.01 * flow)
     quiet: Any = Stub(outliers=(), replicates=9, status="estimated", trial_scatter=0.0)
     (note,) = results._warnings(result, quiet)
     told: Any = note
@@ -481,6 +485,21 @@ def test_readings_go_to_the_edge_that_they_name(rig, valve, way, sign, name, sid
     assert edge.rows.command == pytest.approx(abs(sign) * np.linspace(0.5, 5.0, 20))
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_measured_command_scatters_about_rest(sign):
+    """By up to a hundredth of the largest, 10 V."""
+    valve = {1: "servo_supply_head", -1: "servo_supply_rod"}[sign]
+    command = sign * np.linspace(0.5, 5.0, 20)
+    command[:2] = -0.099 * sign, 0.002 * sign
+    (edge,) = tables.prepare_readings(
+        shipped("slide_servo"), [rows_of(valve, command=command)]
+    ).edges
+    assert edge.rows.command[:3] == pytest.approx([0.0, 0.002, abs(command[2])])
+    command[0] = -0.101 * sign
+    with refused("flow_maps.wrong_sign"):
+        tables.prepare_readings(shipped("slide_servo"), [rows_of(valve, command=command)])
+
+
 @pytest.mark.parametrize(
     ("flow", "ratio"),
     [(1e-4, None), (1.1e-6, None), (0.9e-6, 0.9e-3), (0.019, None), (0.022, 20.9)],
@@ -651,6 +670,7 @@ def test_a_deadband_lies_below_the_first_command_that_surely_passes(
     """By four errors, which are 10⁻³ of a reading, half of that of four, and more with a lack of
     fit; it lies above the last but one of the commands below the last that is shut."""
     readings: Any = Stub(levels=np.arange(1.0, 7.0), cell_level=np.arange(6), who="map")
+    readings.show = Units()
     cells: Any = Stub(weight=np.full(6, 4e6), y=np.array(y), count=np.full(6, 4.0))
     if first is None:
         with refused("flow_maps.mostly_shut", InsufficientData):
@@ -659,6 +679,18 @@ def test_a_deadband_lies_below_the_first_command_that_surely_passes(
     found = shape.window_of(readings, cells, lack)
     assert (found.opens, found.low, found.bracket) == (first, low, bracket)
     assert found.high == pytest.approx(high) and found.flows_at_lowest == (first == 0)
+
+
+def test_errors_that_a_recipe_states_count_for_a_flowmeter_too():
+    """The drop is of two sensors."""
+    recipe = Stub(method="flowmeter", calibration=(), calibration_drop=None, meter_limit=1e-5)
+    recipe.pressure_error, recipe.command_error = 1e4, 0.1
+    edges = [Stub(edge="sh", side="forward")]
+    prepared: Any = Stub(recipe=recipe, state=Stub(rig=None), readings=Stub(edges=edges))
+    given = first_call(tables, "fit_edge", lambda: FlowMapStage().work(prepared, Path(), None))
+    options = given[2]
+    assert (options.meter_limit, options.command_std) == (1e-5, 0.1)
+    assert options.drop_std == pytest.approx(2.0**0.5 * 1e4)
 
 
 @pytest.mark.parametrize(("at", "shut"), [(2.0, True), (2.013, True), (2.013, False), (0.0, True)])

@@ -213,6 +213,28 @@ def test_a_file_is_known_by_how_it_begins(files, tmp_path):
         reader_of(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "begins", "key"),
+    [
+        (
+            "a.asc",
+            b"date Tue May 12 10:11:12.5 am 2026\r\nbase hex  timestamps absolute\r\n",
+            "bus",
+        ),
+        ("a.trc", b";$FILEVERSION=1.1\r\n;$STARTTIME=46154.42\r\n", "bus"),
+        ("a.blf", b"LOGG\x90\0\0\0", "bus"),
+        ("a.log", b"(1588771234.123456) can0 18FF01F1#0102030405060708\n", "bus"),
+        ("a.xlsx", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "old"),
+        ("a.xls", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "old"),
+    ],
+)
+def test_what_another_program_must_convert_first_is_told(name, begins, key, tmp_path):
+    (tmp_path / name).write_bytes(begins + b"0.1 1 2\n" * 9)
+    keys = {"bus": "data.bus_frames", "old": "data.old_or_locked_workbook"}
+    with refused(keys[key], LogError):
+        open_source(tmp_path / name)
+
+
 def test_a_table_is_chosen_by_its_name(files):
     source = open_source(files["a.xlsx"], Dialect(table="Slow"))
     assert [table.name for table in source.tables] == ["Slow"]

@@ -244,7 +244,7 @@ def driven(volts):
     rows = readings_table(np.array([volts]), np.array([1e6]), np.array([1e-4]))
     given: Any = (
         rows,
-        Stub(command_min=0.0, command_max=10.0),
+        Stub(command_min=0.0, command_max=10.0, largest=10.0),
         Stub(sign=1),
         tables.LeftOut([]),
     )

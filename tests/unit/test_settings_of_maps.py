@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.flow_maps import fit, shape
+from ehbench.flow_maps import fit, readings, shape
 from ehbench.flow_maps.readings import SETTINGS as READING
+from ehbench.flow_maps.readings import readings_table
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline
 from ehbench.vocabulary.errors import EhbenchError
@@ -179,7 +180,21 @@ def shift_of():
         return round(fit._shift_of(result)[1], 9)
 
 
+def idle(share):
+    """Whether a flow that hardly changes over a share of the commands at each drop is refused."""
+    volts = np.array([0.0, 10.0 * share, 10.0])
+    command, drop = np.concatenate([np.tile(volts[:2], 4), [3.0, 10.0]]), np.arange(1e6, 7e6, 1e6)
+    drop = np.concatenate([np.repeat(drop[:4], 2), drop[4:]])
+    rows = readings_table(command, drop, np.where(command > 9.0, 1e-4, 1e-7))
+    try:
+        readings.sort_readings("map", rows, readings.FlowMapOptions())
+    except EhbenchError as error:
+        return error.key
+    return ""
+
+
 ROWS = [
+    (READING, "across", lambda: [idle(s) for s in (0.48, 0.52)], ["", "flow_maps.idle"]),
     (fit.SETTINGS, "rms", lambda: [fit_of(r)[0] for r in (0.19, 0.21)], ["", REFUSED]),
     (fit.SETTINGS, "lack", lambda: [fit_of(0.1, n)[0] for n in (95, 105)], ["", REFUSED]),
     (fit.SETTINGS, "lack_rms", lambda: [fit_of(r, 200)[0] for r in (0.047, 0.053)], ["", REFUSED]),

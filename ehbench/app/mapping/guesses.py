@@ -75,7 +75,7 @@ LIMITS = GuessSettings()
 class Guess:
     """What a column may be: ``channel`` ('' where nothing is known), the unit of its numbers ('' of
     none), how certain that is, a remark, two points where its numbers are no volts, the offset of
-    an absolute pressure, and why."""
+    an absolute pressure, why, and the drop at which a column of flows was read."""
 
     channel: str = ""
     unit: str = ""
@@ -84,6 +84,7 @@ class Guess:
     ends: tuple[str, str, str, str] | None = None
     offset: str = ""
     why: tuple[str, ...] = ()
+    drop: str = ""
 
     @property
     def sure(self) -> bool:
@@ -415,8 +416,13 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
                 note = message("app.needs_both_sides")
                 results[name] = Guess(guess.channel, guess.unit, UNDECIDED, note)
         given = [guess.channel for guess in results.values() if guess.sure]
+    drops = {name: _drop_in(name) for name, guess in results.items() if guess.channel == "flow"}
+    if all(drops.values()) and not {"pressure_drop", *_SIDES} & {*given}:
+        for name, drop in drops.items():
+            results[name] = replace(results[name], drop=drop)
+    given = [(guess.channel, guess.drop) for guess in results.values() if guess.sure]
     for name, guess in results.items():
-        if guess.sure and given.count(guess.channel) > 1:
+        if guess.sure and given.count((guess.channel, guess.drop)) > 1:
             results[name] = Guess(
                 guess.channel, guess.unit, UNDECIDED, message("app.or_another"), guess.ends
             )
@@ -424,6 +430,14 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
         what = next((item for item in READING_WORDS if words_of(name) & WORDS[item]), "")
         results[name] = Guess(what, "", CERTAIN if what else UNDECIDED, "words")
     return results
+
+
+def _drop_in(name: str) -> str:
+    """The drop that a column's name speaks of, as ``Q at 10 bar``; '' of none."""
+    for number, unit in re.findall(r"(\d+(?:[.,]\d+)?) *([A-Za-z]+)", name):
+        if (known := named_unit(unit)) and is_of(known, VOCABULARY["pressure_drop"]):
+            return f"{number.replace(',', '.')} {known}"
+    return ""
 
 
 def _reading_guess(name: str, column: SourceColumn, rig: Rig | None) -> Guess:

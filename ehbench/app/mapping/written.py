@@ -115,6 +115,8 @@ def _line(name: str, guess: Guess, column: SourceColumn) -> str:
     if guess.ends is not None:
         first, last, low, high = guess.ends
         value = f'{{ {keys}, from = ["{first}", "{last}"], to = ["{low}", "{high}"] }}'
+    elif guess.drop:
+        value = f'{{ {keys}, unit = "{guess.unit}", pressure_drop = "{guess.drop}" }}'
     elif guess.offset:
         value = f'{{ {keys}, unit = "{guess.unit}", offset = "{guess.offset}" }}'
     else:

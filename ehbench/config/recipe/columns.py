@@ -26,7 +26,8 @@ _SEPARATORS = {"pipe": "|", "tab": "\t", "space": " "}
 
 class MappedColumn(FileModel):
     """One column of a foreign file as a channel: ``(value − neutral)·scale·sign + offset``, or the
-    straight line through two points, ``from`` and ``to``.
+    straight line through two points, ``from`` and ``to``. ``command`` and ``pressure_drop`` are
+    those at which all flows of a flowmeter's column were read.
 
     As a text, ``"boom.p_head [bar]"``, it is the channel and the unit of the file's numbers."""
 
@@ -41,6 +42,8 @@ class MappedColumn(FileModel):
     filter: Annotated[Value, Q("frequency")] | None = None
     late: Annotated[Value, Q("start")] | None = None
     bad_samples: Literal["refuse", "leave out"] | None = None
+    command: Annotated[Value, Q("command")] | None = None
+    pressure_drop: Annotated[Value, Q("pressure_drop")] | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -48,6 +51,8 @@ class MappedColumn(FileModel):
         if word not in VOCABULARY and word not in READING_WORDS:
             near = meant(self.channel, READING_WORDS)
             raise ValueError(message("config.unknown_channel", channel=self.channel, near=near))
+        if word != "flow" and (self.command is not None or self.pressure_drop is not None):
+            raise ValueError(message("config.read_at", channel=self.channel))
         if (self.from_ is None) != (self.to is None):
             raise ValueError(message("config.from_and_to"))
         others = (self.scale, self.offset, self.neutral, self.sign) != (1.0, 0.0, 0.0, 1)
@@ -160,9 +165,13 @@ class Columns(FileModel):
     @field_validator("names")
     @classmethod
     def _each_once(cls, names: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
-        channels = [column.channel for column in names.values() if column.channel != "t"]
-        if twice := [channel for channel in channels if channels.count(channel) > 1]:
-            raise ValueError(message("config.two_columns", channel=twice[0]))
+        places = [
+            (column.channel, *(at and at.value for at in (column.command, column.pressure_drop)))
+            for column in names.values()
+            if column.channel != "t"
+        ]
+        if twice := [place for place in places if places.count(place) > 1]:
+            raise ValueError(message("config.two_columns", channel=twice[0][0]))
         return names
 
 

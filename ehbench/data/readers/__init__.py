@@ -59,6 +59,16 @@ READERS = (
         "ROS 2 bag", (".mcap", ".db3"), "ros", "rosbags", (b"\x89MCAP0\r\n", b"SQLite format 3")
     ),
 )
+# how files begin that others must make recordings of first
+_OTHERS = (
+    (
+        re.compile(
+            rb"date [^\n]*\nbase +(hex|dec)|;\$FILEVERSION=|LOGG.\0\0\0|\(\d+\.\d+\) \w+ \w+#"
+        ),
+        message("data.bus_frames"),
+    ),
+    (re.compile(rb"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"), message("data.old_or_locked_workbook")),
+)
 
 
 @dataclass(frozen=True)
@@ -108,6 +118,9 @@ def reader_of(path: Path) -> Reader:
         reason = getattr(error, "strerror", None) or error
         text = message("data.unreadable", reason=reason)
         raise LogError(text, file=shortened_path(path)) from None
+    for begin, text in _OTHERS:
+        if begin.match(head.removeprefix(codecs.BOM_UTF8)):
+            raise LogError(text, file=path)
     name = path.name.lower().removesuffix(".gz")
     packed = b"".join(head.removeprefix(codecs.BOM_UTF8).split())  # JSON may have blanks anywhere
     begins = [x for x in READERS if head.startswith(x.magic) or packed.startswith(x.magic)]
