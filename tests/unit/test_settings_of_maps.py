@@ -187,7 +187,7 @@ def idle(share):
     drop = np.concatenate([np.repeat(drop[:4], 2), drop[4:]])
     rows = readings_table(command, drop, np.where(command > 9.0, 1e-4, 1e-7))
     try:
-        readings.sort_readings("map", rows, readings.FlowMapOptions())
+        readings.sort_readings("map", rows, readings.FlowMapOptions(), 0.0)
     except EhbenchError as error:
         return error.key
     return ""

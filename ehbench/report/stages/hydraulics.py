@@ -255,8 +255,8 @@ def findings(run: Saved) -> Findings:
     for item in sensitive:  # what somebody measured seldom is what is wrong
         share = weight({"share": item["explains"]})
         if residual and getattr(item["sentence"], "fields", {}).get("known"):
-            first = message("steps.suggest_first", **names(run), number=item["name"])
-            doubts.append((share, first))
+            trial = message("steps.suggest_first", **names(run), number=item["name"])
+            doubts.append((share, trial))
             residual = ""
         doubts.append((share, remedy_step(item["remedy"])))
     steps += [step for _, step in sorted(doubts, key=lambda pair: -pair[0])]
