@@ -479,7 +479,9 @@ def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]
         flow_zero, drop_zero = zeros[valve]
         where: dict[str, Any] = {"file": row["file"], "line": row["line"]}
         if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
-            text = message("data.flow_against_drop", valve=valve)
+            half = row["command"] < 0.0 and flow < 0.0  # a spool swept to both sides
+            key = "data.flow_of_other_half" if half else "data.flow_against_drop"
+            text = message(key, valve=valve)
         elif drop < -drop_zero and row["direction"]:
             text = message("data.drop_against_direction", direction=row["direction"])
         else:

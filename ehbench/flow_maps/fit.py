@@ -329,7 +329,9 @@ def _shift_of(result: Fit) -> tuple[float, float]:
         return regression(spline, moved(shift)).solve(shape.smoothing)[1]
 
     if not r.shift:
-        best = 0.0
+        # past the likelihoods between, which rise where a command begins to pass flow
+        step *= 0.5
+        best = min((step * k for k in (0, -1, 1, -2, 2, -3, 3, -4, 4)), key=anew)
         while step > end:
             best = min((best, best - step, best + step), key=anew)
             step *= 0.5 if anew(best) <= min(anew(best - step), anew(best + step)) else 1.0

@@ -131,9 +131,8 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
                     for name in map(valve.edge_name, valve.edge)
                     if edge.edge in (name, f"{cylinder.name}.{name}")
                 )
-                limit = 0.0
                 zero = ERRORS.pressure * float(rig.supply.pressure)
-                pressure = zero if pressure is None else pressure
+                limit, pressure = 0.0, zero if pressure is None else pressure
                 command = ERRORS.command * valve.largest if command is None else command
             shared = {"meter_limit": float(limit), "command_std": float(command or 0.0)}
             shared["drop_std"] = math.sqrt(2.0) * float(pressure or 0.0)

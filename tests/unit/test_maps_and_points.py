@@ -378,6 +378,16 @@ def test_a_shift_is_sought_within_twice_the_deadband(true, value, found, gain, s
     assert fit._shift_of(shifting(0.0, one_drop=True)) == (0.0, 0.0)
 
 
+def test_a_shift_is_found_past_likelihoods_that_rise_before_it():
+    def smoothed(_, at, coarse):
+        return None, 1e3 * (at + 0.8) ** 2 + 600.0 * (-0.7 < at < -0.1)
+
+    with answers(fit, replace=lambda item, **_: item, start_deadband=None,
+                 likeliest_smoothing=smoothed,
+                 regression=lambda *_: Stub(solve=lambda _: (None, 1e9))):  # fmt: skip
+        assert fit._shift_of(shifting(0.0))[0] == pytest.approx(-0.8, abs=0.05)
+
+
 @pytest.mark.parametrize("scale", [1e4, 1.0, -1e4])
 def test_a_shift_ends_where_its_likelihood_does(scale):
     """−2 log L = 9 a² + 4 a b + 3 b² about its least, times a scale: its error is √(2 H⁻¹)."""

@@ -235,6 +235,17 @@ def test_what_another_program_must_convert_first_is_told(name, begins, key, tmp_
         open_source(tmp_path / name)
 
 
+def test_titles_before_each_name_need_no_row_of_units(tmp_path):
+    """As an older TwinCAT Scope exports: an address below the names is none."""
+    pairs = ("Name\tpA\tName\tpB", "SampleTime[ms]\t1\tSampleTime[ms]\t1")
+    pairs += ("SymbolName\tGVL.a\tSymbolName\tGVL.b", "NetID\t5.1.2\tNetID\t5.1.2")
+    rows = [f"{k}\t{k},5\t{k}\t{2 * k},5" for k in range(40)]
+    (tmp_path / "a.csv").write_text("\n".join(["Name\tProject\t", "", *pairs, "", *rows]))
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert [column.name for column in table.columns][1::2] == ["pA", "pB"]
+    assert table.columns[0].known_unit == "ms"
+
+
 def test_a_table_is_chosen_by_its_name(files):
     source = open_source(files["a.xlsx"], Dialect(table="Slow"))
     assert [table.name for table in source.tables] == ["Slow"]

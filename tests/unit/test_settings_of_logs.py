@@ -469,7 +469,7 @@ def bridged():
 
 
 def readings(flows, drops, direction=""):
-    same = {"valve": "a", "direction": direction, "file": "f"}
+    same = {"valve": "a", "direction": direction, "file": "f", "command": 1.0}
     pairs = enumerate(zip(flows, drops, strict=True))
     rows = [same | {"flow": q, "pressure_drop": p, "line": n} for n, (q, p) in pairs]
     left = flowmeter.LeftOut("f")

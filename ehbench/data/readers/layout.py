@@ -284,8 +284,9 @@ def _heads(
     names, units = (
         _titled(lines, within, separator, width, titles) for titles in (_NAME_HEADS, _UNIT_HEADS)
     )
-    if names is not None and units is not None:
-        rows = {n: split(bare(lines[n]), separator)[:width] for n in (names, *block)}
+    rows = {n: split(bare(lines[n]), separator)[:width] for n in (names, *block) if n is not None}
+    # a title before each column's name, or units below the names
+    if names is not None and (units is not None or rows[names].count(rows[names][0]) > 1):
         own = {n: [cell for cell in row if cell and cell != row[0]] for n, row in rows.items()}
         # one name comes again: another row tells the columns apart
         tells = (n for n, row in own.items() if row and len(set(row)) == len(row))
