@@ -180,6 +180,18 @@ def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
     assert [step.fields["remedy"] for step in steps] == ["free the gain of hect", "b"]
 
 
+@pytest.mark.parametrize(("half", "settled"), [(0.005, []), (0.05, ["boom.joint_damping"])])
+def test_a_test_is_proposed_for_the_least_known_and_none_in_vain(folders, tmp_path, half, settled):
+    """Of two that the logs know only together; both to half a percent need no test."""
+    fit = json.loads((folders[0] / "parameters.json").read_text())["parameters"][:2]
+    for item, share in zip(fit, (0.002, half), strict=True):
+        ends = [item["value"] * (1.0 + sign * share) for sign in (-1, 1)]
+        item |= {"status": "correlated", "interval": ends}
+    folder = changed(folders[0], tmp_path / "fitted", parameters=fit)
+    steps = [step for step in findings_of(folder).next if step.key == "steps.settle"]
+    assert [step.fields["parameter"] for step in steps] == settled
+
+
 def test_what_explains_most_leads_the_sentence_and_the_steps(folders, tmp_path):
     def doubt(share: dict[str, float], line: str) -> Message:
         """A reservation that explains a share; none of what is odd about a log."""

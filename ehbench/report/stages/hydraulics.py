@@ -42,7 +42,7 @@ from ehbench.report.words import (
     words,
 )
 from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import BEYOND, CORRELATED, Z95
+from ehbench.vocabulary.terms import BEYOND, CORRELATED, TOLD, Z95
 
 DOUBTFUL = "estimated, doubtful"  # as it is sensitive to a fixed number that the logs deny
 
@@ -224,6 +224,14 @@ def _dynamics(page: Template, variants: Sequence[Table]) -> list[Block]:
     return [Text(text), page.table("dynamics", rows, variants=list(variants))]
 
 
+def _spread(item: Table) -> float:
+    """Half of the interval of an estimate over its value; infinite where it has none."""
+    ends, value = item.get("interval"), item.number("value")
+    if not ends or None in ends or not value:
+        return np.inf
+    return abs((ends[1] - ends[0]) / (2.0 * value))
+
+
 def findings(run: Saved) -> Findings:
     page, fit = Template("headlines", run.rig), run.json("parameters.json")
     sensitive, parameters = fit.get("leans", [])[:1], estimates_of(fit)
@@ -253,8 +261,12 @@ def findings(run: Saved) -> Findings:
         doubts.append((share, remedy_step(item["remedy"])))
     steps += [step for _, step in sorted(doubts, key=lambda pair: -pair[0])]
     steps += [message("steps.suggest", **names(run))] * bool(residual)
-    first = {item["status"]: item["name"] for item in reversed(weak)}
-    for status, parameter in first.items():
+    # of each status the least known; a test for what is told to a hundredth would be in vain
+    vague = [item for item in weak if item["status"] != "correlated" or not _spread(item) < TOLD]
+    worst: dict[str, str] = {}
+    for item in sorted(vague, key=_spread, reverse=True):
+        worst.setdefault(item["status"], item["name"])
+    for status, parameter in worst.items():
         key = "steps.bound" if status == "at_bound" else "steps.settle"
         steps.append(message(key, **names(run), parameter=parameter))
     return Findings(numbers, [{"kind": "parameters"}], against, steps)
