@@ -476,3 +476,14 @@ def test_what_cannot_be_compared_is_named(pair, tmp_path, monkeypatch):
 def test_distance_in_intervals(first, second, apart):
     found = Shift("x", *first, *second).intervals
     assert found == (apart if apart is None else pytest.approx(apart))
+
+
+def test_a_quantile_stands_within_its_interval_and_its_unit_beside_it():
+    """Ends in fewer digits than the value lay below a quantile whose end is no higher."""
+    ends = {"share": 0.05, "value": 3472.8, "low": None, "high": 3473.1}
+    row = {"name": "energy.pump", "unit": "J", "samples": 24, "mean": 3485.0, "quantiles": [ends]}
+    row |= {"minimum": 3470.0, "maximum": 3494.0}
+    grid = Template("study").table("measures", [row])
+    assert grid.head[:2] == ["measure", "unit"]
+    cell = grid.rows[0][5]
+    assert re.findall(r"[\d.]+", cell if isinstance(cell, str) else cell.text) == ["3473", "3473"]
