@@ -5,6 +5,7 @@ import math
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ import pytest
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.physics.flow_map import collect, save_flow_maps
 from ehbench.report import build, draw, style
-from ehbench.report.blocks import inline, prose
+from ehbench.report.blocks import Grid, inline, prose
 from ehbench.report.compare import Shift, answer, compare
 from ehbench.report.saved import FigureIndex, Saved, Table, read_points, read_series
 from ehbench.report.stages import hydraulics
 from ehbench.report.stages import study as studies
+from ehbench.report.stages.response import section
 from ehbench.report.style import canvas, spread, thin
 from ehbench.report.svg import shrink
 from ehbench.report.template import Template
@@ -476,3 +478,30 @@ def test_what_cannot_be_compared_is_named(pair, tmp_path, monkeypatch):
 def test_distance_in_intervals(first, second, apart):
     found = Shift("x", *first, *second).intervals
     assert found == (apart if apart is None else pytest.approx(apart))
+
+
+def test_a_quantile_stands_within_its_interval_and_its_unit_beside_it():
+    """Ends in fewer digits than the value lay below a quantile whose end is no higher."""
+    ends = {"share": 0.05, "value": 3472.8, "low": None, "high": 3473.1}
+    row = {"name": "energy.pump", "unit": "J", "samples": 24, "mean": 3485.0, "quantiles": [ends]}
+    row |= {"minimum": 3470.0, "maximum": 3494.0}
+    grid = Template("study").table("measures", [row])
+    assert grid.head[:2] == ["measure", "unit"]
+    cell = grid.rows[0][5]
+    assert re.findall(r"[\d.]+", cell if isinstance(cell, str) else cell.text) == ["3473", "3473"]
+
+
+def test_forms_that_were_asked_for_come_first_of_a_response(tmp_path):
+    """A terminal shows one table, and the sentence has the other's numbers."""
+    form = {"form": "first order", "preferred": True, "poles": [76.0], "pole_stds": [1.2]}
+    form |= {"delay": None, "fit_percent": [70.1]}
+    table = {"output": "boom.v", "input": "boom.hect.command", "logs": ["a"], "averages": 8.0}
+    table |= {"coherent_range": [1.0, 80.0], "coherent": 80, "frequencies": 100, "segment": 1.0}
+    table |= {"coherence_noise": 0.3, "window": "hann", "warnings": []}
+    nothing: Any = lambda **_: []  # noqa: E731
+    for forms, first in (([], ["", "value"]), ([form], ["form", "poles [rad/s]"])):
+        folder = made(tmp_path, f"forms_{len(forms)}")
+        (folder / "response.json").write_text(json.dumps(table | {"transfers": forms}))
+        facts(folder, "response", title="Response", warnings=[])
+        parts = {part.title: part.inside for part in section(Saved(folder), nothing).parts}
+        assert [grid.head[:2] for grid in parts["Numbers"] if isinstance(grid, Grid)][0] == first

@@ -255,18 +255,18 @@ def findings(run: Saved) -> Findings:
     for item in sensitive:  # what somebody measured seldom is what is wrong
         share = weight({"share": item["explains"]})
         if residual and getattr(item["sentence"], "fields", {}).get("known"):
-            trial = message("steps.suggest_first", **names(run), number=item["name"])
-            doubts.append((share, trial))
+            first = message("steps.suggest_first", **names(run), number=item["name"])
+            doubts.append((share, first))
             residual = ""
         doubts.append((share, remedy_step(item["remedy"])))
     steps += [step for _, step in sorted(doubts, key=lambda pair: -pair[0])]
     steps += [message("steps.suggest", **names(run))] * bool(residual)
     # of each status the least known; a test for what is told to a hundredth would be in vain
     vague = [item for item in weak if item["status"] != "correlated" or not _spread(item) < TOLD]
-    first: dict[str, str] = {}
+    worst: dict[str, str] = {}
     for item in sorted(vague, key=_spread, reverse=True):
-        first.setdefault(item["status"], item["name"])
-    for status, parameter in first.items():
+        worst.setdefault(item["status"], item["name"])
+    for status, parameter in worst.items():
         key = "steps.bound" if status == "at_bound" else "steps.settle"
         steps.append(message(key, **names(run), parameter=parameter))
     return Findings(numbers, [{"kind": "parameters"}], against, steps)

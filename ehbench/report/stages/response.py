@@ -112,8 +112,9 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         }
         for form in table.get("transfers", [])
     ]
-    tables = [page.table("numbers", NUMBERS, table=table)]
-    tables += [page.table("forms", forms, logs=table["logs"])] if forms else []
+    # forms were asked for, and a terminal shows one table: the sentence has the other's numbers
+    tables = [page.table("forms", forms, logs=table["logs"])] if forms else []
+    tables += [page.table("numbers", NUMBERS, table=table)]
     parts = [
         Part("Bode diagram", pictures(kind="response")),
         Part("Numbers", tables),
