@@ -126,13 +126,25 @@ def undrawn(monkeypatch) -> None:
     """Runs leave an empty index in place of figures, for tests that look at none: to draw takes
     most of a short run.
     """
+    _undrawn(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def all_undrawn() -> Iterator[None]:
+    """`undrawn` for a module and its fixtures."""
+    with pytest.MonkeyPatch.context() as patch:
+        _undrawn(patch)
+        yield
+
+
+def _undrawn(patch: pytest.MonkeyPatch) -> None:
     from ehbench.report.saved import FigureIndex
 
     def draw(folder: Path) -> None:
         FigureIndex(folder).save()
 
     # by its full name: the package has a function of that name too
-    monkeypatch.setattr(importlib.import_module("ehbench.report"), "draw", draw)
+    patch.setattr(importlib.import_module("ehbench.report"), "draw", draw)
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from dask import config
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.data import read
-from ehbench.report import style
 from ehbench.runs.rundir import read_json
 from ehbench.sampling.cluster import Bundle, Cluster
 from ehbench.sampling.pools import POOLS, Processes, in_threads
@@ -25,6 +24,7 @@ from ehbench.vocabulary.messages import message
 from tests.settings import at
 from tests.shared import ROOT, refused
 
+pytestmark = pytest.mark.usefixtures("all_undrawn")
 QUICK = {"distributed.comm.timeouts.connect": 0.5}
 # what makes samples here: number 5 may die, 6 may hang, and each says in which process it was made
 MAKERS = """
@@ -260,14 +260,6 @@ at_most = "150 mm/s"
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def blank():
-    """No figure is painted: nobody looks at one, and the same numbers paint the same picture."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "painted", lambda page: "")
-        yield
-
-
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     """The recipe of a small study, and its run on this machine."""
@@ -329,7 +321,7 @@ def test_a_killed_study_goes_on(study, tmp_path):
     same(here, out)
 
 
-def test_a_sample_is_made_again_bit_for_bit(study, undrawn, tmp_path):
+def test_a_sample_is_made_again_bit_for_bit(study, tmp_path):
     path, here = study
     kept = read_json(here / "study.json")["worst"][0]
     session = workflow.Session(root=tmp_path)

@@ -24,6 +24,7 @@ from tests.press_fmu import A1, A2, MASS, press, press_fmu
 from tests.shared import refused
 
 pytest.importorskip("fmpy")
+pytestmark = pytest.mark.usefixtures("all_undrawn")
 TRUE = {"bulk_modulus": 1.1e9, "carriage.damping": 2400.0}
 RIG = f"""
 name = "press"

@@ -1,12 +1,10 @@
 """A search that is stopped at any of its steps goes on, and ends with the same bytes."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
-import ehbench.report  # noqa: F401  (a function of the package hides it)
 from ehbench import workflow
 from ehbench.identification import journal as journals
 from ehbench.identification.journal import Journal, journal_of, place_of
@@ -23,10 +21,9 @@ parameters = ["bulk_modulus", "carriage.damping"]
 
 
 @pytest.fixture
-def recipe(tmp_path, monkeypatch):
+def recipe(tmp_path, monkeypatch, undrawn):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(journals, "EVERY", 0.0)
-    monkeypatch.setattr(sys.modules["ehbench.report"], "draw", lambda folder: None)
     path = tmp_path / "fit.toml"
     path.write_text(RECIPE)
     return path

@@ -1,4 +1,4 @@
-"""The kernel decorators and their cache."""
+"""The kernel decorators, their cache, and the sources that it is named by."""
 
 import os
 import pickle
@@ -19,6 +19,7 @@ from ehbench.control import LAW_NAMES
 from ehbench.physics.flow_map import bspline_pieces
 from ehbench.plant import integrate
 from ehbench.runtime import compiled
+from ehbench.runtime.sources import sources
 
 
 def grows(n):
@@ -190,3 +191,19 @@ def test_what_is_compiled_ahead_is_what_a_trial_calls(tmp_path):
     command = [sys.executable, "-c", AHEAD]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+def test_only_own_files_of_these_kinds_in_one_order(tmp_path):
+    for name in ("b.py", "a.py", "a/z.py", "a.html", "__pycache__/c.py", "a/shipped/d.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).touch()
+    found = [path.relative_to(tmp_path).as_posix() for path in sources(tmp_path, ".py", ".html")]
+    assert found == ["a/z.py", "a.html", "a.py", "b.py"]
+
+
+def test_what_another_process_clears_away_is_not_looked_into(monkeypatch):
+    """A cache of older sources may go while one looks."""
+    looked, scan = [], os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: looked.append(str(path)) or scan(path))
+    assert compiled.PACKAGE / "workflow.py" in sources(compiled.PACKAGE, ".py")
+    assert looked and not any("__pycache__" in path for path in looked)
