@@ -80,8 +80,17 @@ class Group:
 
     @property
     def repeated(self) -> np.ndarray:
-        """As `repeated`, of its rows."""
-        return repeated(self.t, list(self.columns.values()))
+        """Where a row is the one before once more: its time and all its cells. Nowhere in a table
+        whose time stands still often, as one that is rounded does."""
+        same = np.concatenate([[False], self.t[1:] == self.t[:-1]])
+        if not 0.0 < same.mean() <= SETTINGS.repeated:
+            return np.zeros(self.t.size, bool)
+        for column in self.columns.values():
+            values = column.values
+            same[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+            for row in np.flatnonzero(same):
+                same[row] &= column.odd.get(int(row)) == column.odd.get(int(row) - 1)
+        return same
 
     def without_repeats(self, losses: list[str]) -> Group:
         """The same without rows that are the one before once more, as loggers write them twice."""
@@ -193,21 +202,6 @@ def _take_turns(item: np.ndarray, other: np.ndarray) -> bool:
     first, last = max(some[0] for some in rows), min(some[-1] for some in rows)
     inside = min(int(((some >= first) & (some <= last)).sum()) for some in rows)
     return inside >= SETTINGS.fewest and int((item & other).sum()) <= SETTINGS.shared * inside
-
-
-def repeated(t: np.ndarray, columns: Sequence[SourceColumn]) -> np.ndarray:
-    """Where a row is the one before once more: its time [s] and all its cells; shape (rows,).
-    Nowhere in a table whose time stands still often, as one that is rounded does.
-    """
-    same = np.concatenate([[False], t[1:] == t[:-1]])
-    if not 0.0 < same.mean() <= SETTINGS.repeated:
-        return np.zeros(t.size, bool)
-    for column in columns:
-        values = column.values
-        same[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-        for row in np.flatnonzero(same):
-            same[row] &= column.odd.get(int(row)) == column.odd.get(int(row) - 1)
-    return same
 
 
 def joined(

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -193,7 +193,7 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
     return [dict(zip(grid.head, row, strict=True)) for row in rows]
 
 
-def table_lines(grid: Grid, columns: Sequence[str], width: int) -> Iterator[str]:
+def table_lines(grid: Grid, columns: Sequence[str], width: int) -> list[str]:
     """A table in columns, named ones or all, as many as fit; words may be cut to 20 letters."""
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))
@@ -218,7 +218,7 @@ def table_lines(grid: Grid, columns: Sequence[str], width: int) -> Iterator[str]
             texts.append(text.rjust(size) if right else text.ljust(size))
         lines.append(GAP.join(texts).rstrip())
     lines.insert(1 if any(grid.head) else 0, rule)
-    yield from lines
+    return lines
 
 
 def _cell_text(cell: Cell | str) -> str:

@@ -357,9 +357,8 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
             others = p_head[part], p_rod[part]
             step = step_measures(t[part], v[part], level.speed, before, others, level.share, shaped)
             measures["steps"].append(asdict(step))
-    late = float(
-        controller_of(loop.recipe).delay
-    )  # a sample is compared with what was desired then
+    # a sample is compared with what was desired then
+    late = float(controller_of(loop.recipe).delay)
     measures["tracking"] = tracking_measures(t, x, np.interp(t - late, t, desired))
     if true is not None:
         measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], desired)

@@ -423,7 +423,7 @@ def twice(share):
     """Rows that repeat the one before, of which a time shows so many."""
     again = np.arange(round(1000.0 * share / (1.0 - share)))
     t = np.sort(np.concatenate([np.arange(1000.0), again]))
-    return bool(rates.repeated(t, []).any())
+    return bool(rates.Group("", t).repeated.any())
 
 
 def own_rate(*every):
