@@ -20,6 +20,7 @@ from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
+    from ehbench.config.rig import Rig
     from ehbench.data.flowmeter import FlowmeterData
     from ehbench.flow_maps.tables import PreparedReadings
 
@@ -119,25 +120,9 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         for index, edge in enumerate(edges):
             if progress is not None:
                 progress(f"{edge.edge} {edge.side}", index / len(edges))
-            limit, pressure, command = (
-                recipe.meter_limit,
-                recipe.pressure_error,
-                recipe.command_error,
-            )
-            if recipe.method == "steps":
-                (valve,) = (
-                    valve
-                    for cylinder, valve in rig.valves()
-                    for name in map(valve.edge_name, valve.edge)
-                    if edge.edge in (name, f"{cylinder.name}.{name}")
-                )
-                zero = ERRORS.pressure * float(rig.supply.pressure)
-                limit, pressure = 0.0, zero if pressure is None else pressure
-                command = ERRORS.command * valve.largest if command is None else command
-            shared = {"meter_limit": float(limit), "command_std": float(command or 0.0)}
-            shared["drop_std"] = math.sqrt(2.0) * float(pressure or 0.0)
+            known = replace(options, **_errors_of(recipe, rig, edge.edge))
             try:
-                fits.append(readings.fit_edge(rig, edge, replace(options, **shared)))
+                fits.append(readings.fit_edge(rig, edge, known))
             except InsufficientData as error:
                 errors[f"{edge.edge} {edge.side}"] = error
         without: list[str] = [
@@ -165,6 +150,23 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         facts |= {"details": details} if details else {}
         lost = losses or (without and recipe.method != "steps")
         return Work(facts, code=INCOMPLETE if lost else DONE)
+
+
+def _errors_of(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
+    """The limit of an edge's meter, and standard errors of its command and its drop."""
+    limit, pressure, command = recipe.meter_limit, recipe.pressure_error, recipe.command_error
+    if recipe.method == "steps":
+        (valve,) = (
+            valve
+            for cylinder, valve in rig.valves()
+            for name in map(valve.edge_name, valve.edge)
+            if edge in (name, f"{cylinder.name}.{name}")
+        )
+        zero = ERRORS.pressure * float(rig.supply.pressure)
+        limit, pressure = 0.0, zero if pressure is None else pressure
+        command = ERRORS.command * valve.largest if command is None else command
+    errors = {"meter_limit": float(limit), "command_std": float(command or 0.0)}
+    return errors | {"drop_std": math.sqrt(2.0) * float(pressure or 0.0)}
 
 
 def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:

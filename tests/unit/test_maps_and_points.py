@@ -475,7 +475,7 @@ def rows_of(valve="servo_supply_head", way="forward", size=20, **columns: Any):
         ("slide_servo", "pump", "forward", 1, "flow_maps.unknown_edge", ""),
         ("slide_servo", "servo_supply_rod", "forward", 1, "flow_maps.wrong_sign", ""),
         ("slide_servo", "servo_supply_head", "forward", -1, "flow_maps.wrong_sign", ""),
-        ("slide_servo", "servo_supply_head", "forward", -0.1, "flow_maps.wrong_sign", ""),
+        ("slide_servo", "servo_supply_head", "forward", -0.3, "flow_maps.wrong_sign", ""),
         ("slide_servo", "servo_supply_head", "forward", 2.03, "", "forward"),
         ("slide_servo", "servo_supply_head", "forward", 2.05, "flow_maps.outside_driver", ""),
     ],
