@@ -356,7 +356,11 @@ def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) ->
     sheets, where = [], columns.at("names")
     for mapped, values, cells in flows or [(None, np.empty(0), {})]:
         at = {"command": mapped.command, "pressure_drop": mapped.pressure_drop} if mapped else {}
-        said = {what: np.full(table.size, float(value)) for what, value in at.items() if value}
+        said = {
+            what: np.full(table.size, float(value))
+            for what, value in at.items()
+            if value is not None
+        }
         if twice := [what for what in said if what in numbers]:
             raise InputError(message("data.column_twice", name=twice[0]), **where)
         here = numbers | said | ({"flow": values} if mapped else {})

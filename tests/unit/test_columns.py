@@ -760,7 +760,7 @@ def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
     unit, scale = {"command": ("V", 1.0), "pressure_drop": ("bar", 1e5)}[rest]
     (tmp_path / "wide.csv").write_text("x;a;b\n1;10;20\n2;;40\n3;30;60\n4;40;80\n")
     lines = [f'x = "{rest} [{unit}]"']
-    lines += [f"{name} = {shape.format(drop=at, command=at)}" for name, at in (("a", 5), ("b", 8))]
+    lines += [f"{name} = {shape.format(drop=at, command=at)}" for name, at in (("a", 0), ("b", 8))]
     own = tmp_path / "m.toml"
     own.write_text("\n".join(["[names]", *lines]))
     data = read_flowmeter(tmp_path / "wide.csv", load_columns(own))
@@ -768,7 +768,7 @@ def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
     assert data.flow * 6e4 == pytest.approx([10, 30, 40, 20, 40, 60, 80])
     assert getattr(data, rest) / scale == pytest.approx([1, 3, 4, 1, 2, 3, 4])
     other = {"command": 1.0, "pressure_drop": 1e5}[by]
-    assert getattr(data, by) / other == pytest.approx([5] * 3 + [8] * 4)
+    assert getattr(data, by) / other == pytest.approx([0] * 3 + [8] * 4)
     for wrong, key in (
         ([lines[0], lines[1], lines[1].replace("a =", "b =")], "config.two_columns"),
         ([lines[0], 'a = "flow [L/min]"'], "data.missing_in_map"),
