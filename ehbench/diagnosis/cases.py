@@ -158,10 +158,13 @@ class Case:
         """What an error of each channel is measured by: the noise of a block, and a share of the
         channel's spread; of the supply's pressure the share of its level that is told.
         """
-        return {
-            channel: math.hypot(self.noise[channel], _slight(channel, values))
-            for channel, values in self.recorded.items()
-        }
+        results = {}
+        for channel, values in self.recorded.items():
+            slight = FINE * float(np.std(values))
+            if channel == "p_supply":  # it drives flows by its level
+                slight = OBSERVED.supply_off * rms(values)
+            results[channel] = math.hypot(self.noise[channel], slight)
+        return results
 
     @property
     def noise_squares(self) -> float:
@@ -186,13 +189,6 @@ class Case:
         """How many independent numbers what is left over is worth."""
         parts = np.split(left, len(self.recorded))
         return sum(part.size / correlation_time(part) for part in parts)
-
-
-def _slight(channel: str, values: np.ndarray) -> float:
-    """An error of a channel that does not matter; a supply drives flows by its level."""
-    if channel == "p_supply":
-        return OBSERVED.supply_off * rms(values)
-    return FINE * float(np.std(values))
 
 
 def total(parts: Sequence[np.ndarray]) -> float:

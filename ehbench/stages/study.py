@@ -389,11 +389,6 @@ def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Run
     count = workers.count or cores()
     if plan.limit is None and not plan.allow_code:
         run = lambda some: in_threads(plan.opened(), some, count)
-        yield run, _until(time.monotonic() + SETTINGS.short, tasks)
+        ends = time.monotonic() + SETTINGS.short
+        yield run, iter(lambda: next(tasks, None) if time.monotonic() < ends else None, None)
     yield Processes(plan.opened, count, measures, plan.limit).run, tasks
-
-
-def _until(end: float, tasks: Iterator[Task]) -> Iterator[Task]:
-    """Tasks that are taken before ``end`` on the monotonic clock."""
-    while time.monotonic() < end and (task := next(tasks, None)) is not None:
-        yield task
