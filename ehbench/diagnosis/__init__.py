@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -52,7 +52,8 @@ class Finding:
     is ``about`` (a part or a channel), a ``sentence``, the ``remedy`` as a line of recipe or rig
     file, and the share that it ``explains`` of the residuals' squares beyond those of the sensors'
     noise; ``size`` is the fault's δ, such as a share of a gain; ``beyond`` by how many half-widths
-    of its interval an identified number would be off."""
+    of its interval an identified number would be off; ``jointly`` the share that it and what stands
+    beside it explain, 0 for nothing beside it."""
 
     kind: str
     about: str
@@ -61,11 +62,7 @@ class Finding:
     explains: float
     size: float
     beyond: float = 0.0
-
-    @property
-    def dominant(self) -> bool:
-        """Whether it explains most of what is above the noise."""
-        return self.explains > DOMINANT
+    jointly: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +73,14 @@ class Structure:
 
     findings: tuple[Finding, ...] = ()
     follows: tuple[Follows, ...] = ()
+
+    @property
+    def causes(self) -> tuple[Finding, ...]:
+        """The likeliest that explains most of what is above the noise, or the two that do so only
+        together.
+        """
+        alone = tuple(item for item in self.findings if item.explains > DOMINANT)
+        return alone[:1] or tuple(item for item in self.findings if item.jointly > DOMINANT)[:2]
 
 
 def ask(cases: Sequence[Case]) -> Structure:
@@ -147,6 +152,10 @@ class _Search:
         shown = sorted((f for f, gain in gains.items() if gain >= NEAR * best), key=place)
         results = [self._finding(fault, reached[fault][0], gains[fault]) for fault in shown]
         additional = self._additional(shown, reached[shown[0]][2], slopes)
+        if additional:
+            pair = (results[0], *additional)
+            both = sum(item.explains for item in pair)
+            results[0], *additional = (replace(item, jointly=both) for item in pair)
         kinds = [item.kind for item in results]
         few = [item for i, item in enumerate(results) if kinds[:i].count(item.kind) < OF_A_KIND]
         return [*few[:2], *additional, *few[2:]]

@@ -18,8 +18,8 @@ METHODS: Mapping[str, int] = {
     "output_error": 8,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 9,
-    "validation": 8,
+    "diagnosis": 10,
+    "validation": 9,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it

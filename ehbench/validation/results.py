@@ -234,16 +234,15 @@ class Validation:
         return "accepted with reservation" if self.reservations else "accepted"
 
     def with_structure(self, structure: Structure) -> Validation:
-        """With what the residuals say: a cause of most of a residual above the noise is a
-        reservation, and a reason to reject the model where an identified number would leave its
-        interval.
+        """With what the residuals say: a cause of most of a residual above the noise, or two that
+        are so together, is a reservation, and a reason to reject the model where an identified
+        number would leave its interval.
         """
-        causes = [cause for cause in structure.findings if cause.dominant][:1]
         texts = [
             message("validation.cause", share=c.explains, cause=c.sentence, remedy=c.remedy)
-            for c in causes
+            for c in structure.causes
         ]
-        reject = [cause.beyond > BEYOND for cause in causes]
+        reject = [cause.beyond > BEYOND for cause in structure.causes]
         return replace(self, structure=structure).weighed(texts, reject)
 
     def with_fit(self, leans: Sequence[Mapping[str, Any]]) -> Validation:

@@ -798,7 +798,13 @@ def searched(left, slopes, monkeypatch):
     monkeypatch.setattr(search, "_at", at)
     monkeypatch.setattr(search, "_faults", lambda: [*slopes])
     search._finding = finding
-    return [(item.about, item.size, item.explains) for item in search.findings()], runs
+    findings = search.findings()
+    pair = [item for item in findings if item.jointly]
+    both = sum(item.explains for item in pair)
+    assert len(pair) in (0, 2) and [item.jointly for item in pair] == pytest.approx(
+        [both] * len(pair)
+    )
+    return [(item.about, item.size, item.explains) for item in findings], runs
 
 
 def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_third(monkeypatch):
@@ -872,4 +878,5 @@ def test_a_finding_explains_its_share_of_what_exceeds_the_noise(noise, gain, sha
         Stub(kind="gain", about="a", beyond=lambda delta: 2.0 * delta, **words), 0.3, gain
     )
     assert (found.explains, found.size, found.beyond) == (share, 0.3, 0.6)
-    assert (found.sentence, found.remedy, found.dominant) == ("0.3", "0.3", share > 0.5)
+    assert (found.sentence, found.remedy) == ("0.3", "0.3")
+    assert diagnosis.Structure((found,)).causes == ((found,) if share > 0.5 else ())

@@ -288,6 +288,9 @@ def test_cylinders_whose_ringing_is_not_judged_are_named_with_the_commonest_reas
         ([(0.51, 1.1)], [], "rejected", (1, 0)),  # beyond the interval of what was identified
         ([(0.3, 9.0), (0.51, 0.9)], [], "accepted with reservation", (0, 1)),
         ([(0.6, 0.9), (0.51, 1.1)], [], "accepted with reservation", (0, 1)),  # the likeliest
+        ([(0.4, 0.9, 0.49), (0.09, 9.0, 0.49)], [], "accepted", (0, 0)),
+        ([(0.4, 0.9, 0.51), (0.38, 0.9), (0.11, 1.1, 0.51)], [], "rejected", (1, 1)),  # together
+        ([(0.6, 0.9, 0.8), (0.2, 1.1, 0.8)], [], "accepted with reservation", (0, 1)),
         ([], [0.49], "accepted with reservation", (0, 1)),
         ([], [0.3, 0.51], "rejected", (1, 1)),
         ([(0.51, 0.9)], [0.49], "accepted with reservation", (0, 2)),
@@ -296,7 +299,7 @@ def test_cylinders_whose_ringing_is_not_judged_are_named_with_the_commonest_reas
 def test_causes_and_fixed_numbers_weigh_on_the_verdict(findings, leans, verdict, texts):
     """A cause by its share of the residual and by intervals, a fixed number by its share."""
     plain = Validation("a", True, (), (), {}, ())
-    causes = tuple(Finding("gain", "a", "s", "r", share, 0.1, far) for share, far in findings)
+    causes = tuple(Finding("gain", "a", "s", "r", share, 0.1, *far) for share, *far in findings)
     rows = [{"explains": share, "sentence": "s"} for share in leans]
     result = plain.with_fit(rows).with_structure(Structure(causes))
     assert result.verdict == verdict and result.structure.findings == causes
