@@ -18,7 +18,22 @@ from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Spline
 from ehbench.physics.flow_map import FlowMap, root_drop
 from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
+
+
+@dataclass(frozen=True)
+class NoteSettings:
+    """Numbers from which a map has a note."""
+
+    far: float = setting(0.01, "", "share of readings far from the map", "1 in 10⁶ by chance")
+    wide: float = setting(0.1, "", "flow whose scatter counts, of the rated", "below: the zero")
+    scatter: float = setting(0.05, "", "scatter of repeats, of their flow", "meters: 0.01")
+    lack: float = setting(2.0, "", "squares of lack of fit, in those of noise", "chance: less")
+    trials: float = setting(2e-3, "", "standard error by trials, of the flow", "a map's accuracy")
+
+
+SETTINGS = NoteSettings()
 
 
 @dataclass(frozen=True)
@@ -535,18 +550,18 @@ def _warnings(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
                 off=r.q[rows].mean() / (r.rated * solution.flow[rows].mean()) - 1.0,
             )
     far = int(np.count_nonzero(result.keep & (np.abs(result.sigmas) > outlier)))
-    if far > 0.01 * result.sigmas.size:
+    if far > SETTINGS.far * result.sigmas.size:
         size = result.sigmas.size
         yield message("flow_maps.backed_outliers", count=far, all=size, sigmas=outlier)
     if not fit.replicates:
         yield message("flow_maps.no_repeats")
-    wide = result.keep & (solution.flow > 0.1)
+    wide = result.keep & (solution.flow > SETTINGS.wide)
     share = result.noise.std(r, solution.flow)[wide] / solution.flow[wide]
-    if fit.replicates and share.size and np.median(share) > 0.05:
+    if fit.replicates and share.size and np.median(share) > SETTINGS.scatter:
         yield message("flow_maps.scatter", share=float(np.median(share)))
-    if solution.widening > 2.0:
+    if solution.widening > SETTINGS.lack:
         yield message("flow_maps.lack_of_fit", times=solution.widening**0.5)
     if fit.status == "not_excited":
         yield message("flow_maps.not_excited", command=r.show.volts(r.commands[0]))
-    if fit.trial_scatter > 2e-3:
+    if fit.trial_scatter > SETTINGS.trials:
         yield message("flow_maps.trial_scatter", share=fit.trial_scatter)

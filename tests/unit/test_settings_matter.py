@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.config.recipe import Thresholds, TrialRecipe, TuneRecipe
 from ehbench.data.record import Record
-from ehbench.flow_maps import step_readings, tables
+from ehbench.flow_maps import results, step_readings, tables
 from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import (
     FlowMapOptions,
@@ -19,6 +19,7 @@ from ehbench.flow_maps.readings import (
     readings_table,
     sort_readings,
 )
+from ehbench.flow_maps.results import SETTINGS as NOTES
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline
 from ehbench.frequency_response.response import SETTINGS as RESPONSE
@@ -615,6 +616,17 @@ def blocks(share):
     return len(list(step_readings._steady_blocks(model, 0, log, slice(0, 80), 0.08)))
 
 
+def notes_on(far=0, flow=1.0, scatter=0.0, lack=1.0, trials=0.0):
+    """The keys of the notes on a map of 400 readings, so many of them far from it."""
+    sigmas = np.where(np.arange(400) < far, 9.0, 0.0)
+    solution = Stub(lone=np.zeros(1, bool), flow=np.full(400, flow), widening=lack)
+    noise = Stub(std=lambda readings, flow: scatter * flow)
+    keep = np.ones(400, bool)
+    fit: Any = Stub(readings=None, solution=solution, noise=noise, keep=keep, sigmas=sigmas)
+    known: Any = Stub(outliers=(), replicates=9, status="estimated", trial_scatter=trials)
+    return [note.key.partition(".")[2] for note in results._warnings(fit, known)]
+
+
 ROWS = [
     (ODD, "share", lambda: [sentinels(n) for n in (20, 30)], [["sentinel"], []]),
     (ODD, "jump", lambda: [spike(h) for h in (7.0, 9.0)], [[], ["jump"]]),
@@ -644,6 +656,13 @@ ROWS = [
      [False, True]),
     (READING, "outliers", left_out, 10),
     (READING, "noise", smallest_noise, 100),
+    (NOTES, "far", lambda: [notes_on(far=n) for n in (3, 5)], [[], ["backed_outliers"]]),
+    (NOTES, "wide", lambda: [notes_on(flow=f, scatter=0.2) for f in (0.09, 0.11)],
+     [[], ["scatter"]]),
+    (NOTES, "scatter", lambda: [notes_on(scatter=s) for s in (0.045, 0.055)], [[], ["scatter"]]),
+    (NOTES, "lack", lambda: [notes_on(lack=s) for s in (1.9, 2.1)], [[], ["lack_of_fit"]]),
+    (NOTES, "trials", lambda: [notes_on(trials=s) for s in (1.9e-3, 2.1e-3)],
+     [[], ["trial_scatter"]]),
     (tables.SETTINGS, "correlation", lambda: [warms(share=s) for s in (0.57, 0.63)],
      [[], ["warm_with_command"]]),
     (tables.SETTINGS, "warming", lambda: [warms(k) for k in (2.8, 3.2)],
