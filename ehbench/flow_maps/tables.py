@@ -25,8 +25,8 @@ from ehbench.vocabulary.units import from_si
 class TableSettings:
     """Numbers by which a table of readings is checked."""
 
-    small_flow: float = setting(1e-3, "", "flow share of a wrong unit", "units differ by 60")
-    large_flow: float = setting(20.0, "", "the same, too large a flow", "units differ by 60")
+    of_gain: float = setting(3.0, "", "flow in that of the gain", "bar for psi: 3.8 in the flow")
+    large_flow: float = setting(20.0, "", "flow in the supply's", "units differ by 60")
     overshoot: float = setting(0.01, "", "commands beyond a driver's range, of it", "converters")
     warm_readings: int = setting(8, "", "smallest number with a temperature", "a slope")
     warming: float = setting(3.0, "K", "smallest change of temperature", "2 % of viscosity")
@@ -84,6 +84,7 @@ def prepare_readings(
     for part in parts:
         notes.setdefault(Path(part.file[0]).name, []).extend(_file_notes(part))
     groups: dict[tuple[str, str, int], list[FlowmeterData]] = {}
+    laws: dict[str, Edge] = {}
     losses, details = list(data.losses), list(data.details)
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
@@ -94,22 +95,35 @@ def prepare_readings(
         details += left_out.details
         opened = replace(rows, command=np.maximum(edge.sign * rows.command, 0.0))
         groups.setdefault((name, side, edge.sign), []).append(opened)
+        laws[name] = edge
     edges, limit = [], float(rig.supply.flow_limit)
     for (name, side, sign), group in groups.items():
         rows = merge_flowmeter(group)
         # of a file once
         items = [item for file in np.unique(rows.file).tolist() for item in notes.pop(file, ())]
         show = _units(rig, sign)
-        # a slip of unit is in all rows: far from what the supply can give
-        high, largest = float(np.quantile(rows.flow, 0.9)), float(rows.flow.max())
-        odd = largest < SETTINGS.small_flow * limit or high > SETTINGS.large_flow * limit
-        if 0.0 < limit < np.inf and odd:
-            flow = high if high > limit else largest
+        # a slip of unit is in all rows: far from what the supply can give, or from the law
+        flow, ratio = float(np.quantile(rows.flow, 0.9)), _ratio(laws[name], rows)
+        if flow > SETTINGS.large_flow * limit > 0.0:
             fields = {"flow": show.flow(flow), "ratio": flow / limit, "limit": show.flow(limit)}
             items.append(message("flow_maps.flow_and_supply", **fields))
+        elif abs(np.log(ratio)) > np.log(SETTINGS.of_gain):
+            items.append(message("flow_maps.flow_and_gain", ratio=ratio))
         items += _warming(rows, show, rig.unit_of("temperature"))
         edges.append(EdgeReadings(name, side, sign, rows, tuple(items)))
     return PreparedReadings(tuple(edges), tuple(losses), tuple(details))
+
+
+def _ratio(edge: Edge, rows: FlowmeterData) -> float:
+    """The flow that readings have, in that of the edge's gain in the rig file; 1 without one."""
+    widths = np.maximum(rows.command - float(edge.deadband), 0.0)
+    gain = edge.compensated_gain
+    if edge.flow_gain is not None:
+        gain, widths = edge.flow_gain, widths * np.sqrt(np.maximum(rows.pressure_drop, 0.0))
+    open_ = (widths > 0.0) & (rows.flow > 0.0)
+    if gain is None or not open_.any():
+        return 1.0
+    return float(np.median(rows.flow[open_] / widths[open_])) / float(gain)
 
 
 def _units(rig: Rig, sign: int) -> Units:

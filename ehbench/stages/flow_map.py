@@ -14,7 +14,7 @@ from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import message, of_log
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.settings import setting
@@ -140,7 +140,9 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         write_text(folder / "flow_maps.csv", table(maps, readings.signs(fits), flow, drops))
         write_rig(folder, rig, maps)
         warnings = [
-            f"{fit.map.valve} {fit.map.direction}: {text}" for fit in fits for text in fit.warnings
+            of_log(f"{fit.map.valve} {fit.map.direction}", text)
+            for fit in fits
+            for text in fit.warnings
         ]
         losses, details, remarks = prepared.readings.losses, prepared.readings.details, ()
         if (logs := prepared.logs) is not None:

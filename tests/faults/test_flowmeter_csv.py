@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench import workflow
 from ehbench.config.rig import Rig
 from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps.readings import FlowMapOptions
@@ -21,8 +22,9 @@ from ehbench.flow_maps.tables import (
     summary,
 )
 from ehbench.physics.flow_map import collect, table
+from ehbench.report import terminal
 from ehbench.vocabulary.errors import InputError, UnitError
-from tests.shared import shipped
+from tests.shared import RIGS, shipped
 
 GPM = 3.785411784e-3 / 60.0
 HEADER = "valve,command [V],pressure_drop [kPa],flow [gpm]"
@@ -199,12 +201,22 @@ def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
     assert not about([one], "check the unit")
 
 
-def test_no_limit_of_the_supply_no_doubt_about_flows(write):
+@pytest.mark.parametrize(("scale", "says"), [(1.0, []), (60.0, ["flow_maps.flow_and_gain"])])
+def test_without_a_limit_of_the_supply_flows_are_doubted_by_the_gain(write, scale, says):
     rig = shipped("slide_servo")
     supply = rig.supply.model_copy(update={"flow_limit": math.inf})
     endless = rig.model_copy(update={"supply": supply})
-    fits = fit_rows(write, servo_rows("supply->head", 1, scale=60.0), endless)
-    assert not about(fits, "check the unit")
+    fits = fit_rows(write, servo_rows("supply->head", 1, scale=scale), endless)
+    assert [getattr(text, "key", "") for text in about(fits, "check the unit")] == says
+
+
+def test_flows_in_a_wrong_unit_are_doubted_where_people_look_first(undrawn, write, tmp_path):
+    write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->head", 1, scale=60.0)), "servo.csv")
+    head = 'stage = "identify"\nwhat = "flow_map"\ndata = ["servo.csv"]\n'
+    recipe = write(f'{head}rig = "{RIGS}/slide_servo.toml"\n', "r.toml")
+    run = workflow.run(recipe, workflow.Session(root=tmp_path / "reports"))
+    shown = " ".join(" ".join(terminal.answer(run.folder, run.notes, run.code).lines()).split())
+    assert "the supply's limit of 60 L/min: check the unit" in shown
 
 
 def test_what_the_reader_doubts_reaches_the_map(write):

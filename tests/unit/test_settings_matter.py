@@ -252,13 +252,15 @@ def driven(volts):
     return refusal(lambda: tables._commanded("a", *given))
 
 
-def of_supply(share):
-    """Notes on flows of which the largest is a share of what the supply can give."""
-    limit = float(RIG.supply.flow_limit)
-    flow = share * limit * np.linspace(0.1, 1.0, 5)
-    rows = readings_table(np.linspace(1.0, 9.0, 5), np.full(5, 1e6), flow, valve="sh")
+def of_flow(share, of_supply=False):
+    """The keys of notes on flows that are a share of those of the gain, or of the supply's."""
+    edge = next(edge for _, valve, edge in RIG.edges() if valve.edge_name(edge) == "sh")
+    u, size = np.linspace(2.0, 9.0, 5), float(RIG.supply.flow_limit)
+    flow = float(edge.flow_gain or 0.0) * (u - float(edge.deadband)) * math.sqrt(1e6)
+    flow = size * np.linspace(0.1, 1.0, 5) if of_supply else flow
+    rows = readings_table(u, np.full(5, 1e6), share * flow, valve="sh")
     (edge,) = tables.prepare_readings(RIG, [rows]).edges
-    return len(edge.notes)
+    return [getattr(note, "key", "").partition(".")[2] for note in edge.notes]
 
 
 def step_reading(size=0.1, scatter=0.0):
@@ -677,8 +679,10 @@ ROWS = [
      [[], ["warm_flow"]]),
     (tables.SETTINGS, "overshoot", lambda: [driven(u) for u in (10.09, 10.11)],
      ["", "flow_maps.outside_driver"]),
-    (tables.SETTINGS, "small_flow", lambda: [of_supply(s) for s in (0.9e-3, 1.1e-3)], [1, 0]),
-    (tables.SETTINGS, "large_flow", lambda: [of_supply(s) for s in (20.0, 23.0)], [0, 1]),
+    (tables.SETTINGS, "of_gain", lambda: [of_flow(s) for s in (1.0 / 3.1, 1.0 / 2.9, 2.9, 3.1)],
+     [["flow_and_gain"], [], [], ["flow_and_gain"]]),
+    (tables.SETTINGS, "large_flow", lambda: [of_flow(s, True) for s in (20.0, 23.0)],
+     [["flow_and_gain"], ["flow_and_supply"]]),
     (step_readings.SETTINGS, "drop", lambda: [step_reading(s) for s in (1.8e-3, 2.2e-3)], [0, 1]),
     (step_readings.SETTINGS, "steady", lambda: [step_reading(0.1, s) for s in (0.23, 0.27)],
      [1, 0]),
