@@ -66,6 +66,12 @@ def soft(drop, command):
     return 8 * GPM * np.where(x < 0.6, x**2 / 1.2, x - 0.3) / 8.3 * np.sqrt(drop / 6.5e6)
 
 
+def jumping(drop, command):
+    """An orifice that opens at 1.25 V with a twentieth of its flow at 10 V."""
+    wide = (command - 1.25) / 8.75
+    return 8 * GPM * np.where(wide > 0.0, 0.05 + 0.95 * wide, 0.0) * np.sqrt(drop / 6.5e6)
+
+
 def parabola(drop, command):
     """Area that grows with the square of the opening all the way."""
     return 8 * GPM * (np.maximum(command - 1.2, 0.0) / 8.8) ** 2 * np.sqrt(drop / 6.5e6)

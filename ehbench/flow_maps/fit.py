@@ -39,6 +39,7 @@ from ehbench.flow_maps.shape import (
     find_deadband,
     find_kinks,
     judge,
+    jumps,
     let_fall,
     likeliest_smoothing,
     lone_cells,
@@ -241,6 +242,9 @@ def _iterate(readings: Readings, leak: Leak | None) -> Fit:
     window = window_of(readings, cells, lack)
     shape = replace(shape, above=readings.levels[window.opens :])
     deadband = soften(readings, shape, used, deadband, window)
+    if jumps(readings, shape, used, window):
+        (low, high), (below, first) = deadband.interval, window.bracket
+        deadband = replace(deadband, interval=(min(low, below), max(high, first)))
     return Fit(readings, shape, solution, noise, deadband, window, keep, sigmas, kinks)
 
 

@@ -421,6 +421,22 @@ def soften(
     return replace(result, interval=(round(min(lower, soft), 4), upper))
 
 
+def jumps(readings: Readings, shape: Shape, cells: Cells, window: Window) -> bool:
+    """Whether the commands that pass flow, by themselves, have it pass at the highest of the others
+    too, which surely passes none: then it does not grow from zero."""
+    below, of = window.bracket[0], readings.cell_level
+    if window.opens == 0:
+        return False
+    passing, shut = cells.without(of < window.opens), of == window.opens - 1
+    options = []
+    for start in np.linspace(window.low, below, 5).tolist():
+        spline = shape.spline(start)
+        options.append((*regression(spline, passing).solve(shape.smoothing)[:2], spline))
+    coefficients, _, spline = min(options, key=lambda item: item[1])
+    flow = spline.design(cells.u[shut], cells.s[shut]) @ coefficients
+    return bool(cells.weight[shut] @ (flow * (flow - 2.0 * cells.y[shut])) > SETTINGS.kink_gain)
+
+
 def _profile(
     readings: Readings, shape: Shape, cells: Cells, window: Window, soft: bool
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,7 @@ from tests.valve_laws import (
     LPM,
     compensated,
     hump,
+    jumping,
     kinked,
     kinked_opening,
     kinked_readings,
@@ -357,10 +358,14 @@ def test_repeats_that_agree_stay_in_however_far_from_the_map():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "law, start", [(soft, 1.4), (parabola, 1.2), (poppet, 1.6), (compensated, 1.62), (kinked, 1.5)]
+    "law, start",
+    [
+        *((soft, 1.4), (parabola, 1.2), (poppet, 1.6), (compensated, 1.62), (kinked, 1.5)),
+        (jumping, 1.25),
+    ],
 )
 @pytest.mark.parametrize("commands", [COMMANDS, np.arange(11.0)], ids=["fine", "volts"])
-def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, commands):
+def test_the_deadbands_interval_holds_a_kinked_a_soft_and_a_sudden_start(law, start, commands):
     few = {"commands": commands, "trials": 2, "drops": DROPS[::2]}
     low, high = fit(readings(law, 30, **few)).deadband_interval
     # 95 % each: intervals that hold it every other time pass all ten rows once in a thousand
@@ -369,6 +374,13 @@ def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, comm
     # not, and one that does not
     step = np.diff(commands)[np.searchsorted(commands, start) - 1]
     assert high - low < 2 * step
+
+
+@pytest.mark.parametrize(("law", "sudden"), [(jumping, True), (poppet, False)])
+def test_an_interval_goes_on_to_the_first_flow_where_that_is_sudden(law, sudden):
+    result = fit(readings(law, 30, commands=np.arange(8.0), trials=2, drops=DROPS[::3]))
+    assert result.bracket == (1.0, 2.0) and result.deadband_interval[0] < 1.2
+    assert (result.deadband_interval[1] == 2.0) == sudden
 
 
 def test_the_lower_end_of_a_soft_deadband_hangs_on_no_grid(monkeypatch):
