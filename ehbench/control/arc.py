@@ -6,8 +6,6 @@ chamber follows a low pressure; the other tracks the motion by backstepping (str
 flow) with projected adaptation of inverse inertia, payload, disturbance and bulk modulus. Where one
 spool opens both chambers, the same law drives its one opening."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One cylinder of the design model and what it moves, as model-based controllers take it."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

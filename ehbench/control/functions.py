@@ -7,8 +7,6 @@ the rod end (both have the sign of the speed: Q1 = A1 v, Q2 = A2 v at steady spe
 over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the motion through the path
 ``METERING``; the other, the off-side, is held at a set pressure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

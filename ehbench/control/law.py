@@ -1,7 +1,5 @@
 """What a built-in controller is: its gains, step and telemetry, and what it is designed for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

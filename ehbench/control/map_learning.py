@@ -4,8 +4,6 @@ each edge, within bounds; derivation in docs/explanation/arc.md.
 A map says ``Q(Δp, u)``; the valve is taken to pass ``gain·Q(Δp, u − shift)``. Both chambers show
 what really passed, by their pressure and the piston's speed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ A flow that the motion does not take presses the oil: ``β0 (u − u_v) = θ4 dP
 bulk modulus over the true one. Late or wrong flows look like other oil, so all are estimated
 together."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@
 through the working functions and inverse valve maps, and if it is given a gain the damping, of
 pressure feedback. It reads the cylinder's stroke and what pressure feedback reads."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ the open loop.
 two of them, or 1; the other chamber is held at a set pressure. It reads the cylinder's two
 pressures, the supply's and the tank's, and nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

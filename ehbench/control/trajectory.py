@@ -3,8 +3,6 @@ the shaping of a step.
 
 A table has one row a tick, columns X, V, A, J [m, m/s, m/s², m/s³]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

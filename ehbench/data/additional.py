@@ -1,7 +1,5 @@
 """Logs that two recorders wrote of one run, brought on one time base."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Bad samples of a foreign file: refused, bridged, or left out with their rows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

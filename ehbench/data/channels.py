@@ -1,7 +1,5 @@
 """Foreign files as a `Record`: by a map, columns become channels in SI, on one time base."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Delimited text: one rule each for encodings, lines, cells, numbers, headers and bad cells."""
 
-from __future__ import annotations
-
 import csv
 import re
 import zlib

@@ -4,8 +4,6 @@ log, and what would explain the residuals is named with the line that frees it.
 Residuals are simulated minus recorded, averaged over 5 ms, each channel in units of its noise. A
 fault counts where it explains more than chance does of that many independent numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """What each channel's residual goes along with: command, speed, pressure, position, direction,
 time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Whether a log's stroke and joint angle agree with the pins of the rig file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from ehbench.diagnosis.cases import Case

@@ -1,8 +1,6 @@
 """Whether a log's payload and channels are those that its recipe states: it may have been recorded
 with another payload of the rig, or with two channels exchanged."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations

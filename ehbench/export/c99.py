@@ -5,8 +5,6 @@ notice. Values become local variables, blocks become labels; memory is read and 
 ``memcpy``, so that no rule on aliasing or alignment is broken; whole numbers are unsigned, so that
 none overflows."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Iterator

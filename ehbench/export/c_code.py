@@ -1,7 +1,5 @@
 """The format C: a folder for each part, and the check of each on this machine."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 from tempfile import TemporaryDirectory

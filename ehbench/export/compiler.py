@@ -1,7 +1,5 @@
 """C compilers: the machine's own, or that of the extra ``[export]``, which knows other targets."""
 
-from __future__ import annotations
-
 import platform
 import shutil
 import subprocess

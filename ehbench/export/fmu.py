@@ -1,8 +1,6 @@
 """Functional mock-up units for co-simulation: the C of a part with its source, a description of its
 variables, and a binary for each target that a compiler is there for."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from importlib import metadata

@@ -2,8 +2,6 @@
 is the same on every machine, translated, and cached beside the kernels' machine code.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """A rig's numbers and linear models for MATLAB: ``NAME_parameters.m`` and ``NAME.mat``."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What of a trial can be exported: its model, its controllers, and the inverse maps of valves."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

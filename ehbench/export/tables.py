@@ -1,7 +1,5 @@
 """Formats that need no compiled code: numbers and linear models for MATLAB, the mechanism."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

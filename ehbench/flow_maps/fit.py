@@ -5,8 +5,6 @@ penalty on its curvature in either direction. Residuals beyond the noise widen e
 most where they are. A cell that repeats support, and that no map smooth enough for the others
 passes near, stands alone: the map goes by the others, and only the intervals about it grow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count

@@ -1,8 +1,6 @@
 """Flow maps from readings: the map with its standard errors and intervals, outliers, calibration,
 and the notes that people read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any

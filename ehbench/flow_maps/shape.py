@@ -1,8 +1,6 @@
 """The shape of a flow map: smoothing, bends in the drop, deadband, kinks and fall in the opening,
 each by its likelihood given the cells' means."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache

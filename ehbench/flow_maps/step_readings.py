@@ -8,8 +8,6 @@ with the pressures, the speed and the areas of the log and of the rig (continuit
 Blocks of a stretch are its readings; a flow map is fitted to them as to those of a cylinder's
 speed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

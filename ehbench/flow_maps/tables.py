@@ -1,7 +1,5 @@
 """Flowmeter readings by metering edge, the maps of all, and what is saved."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches

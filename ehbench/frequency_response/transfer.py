@@ -4,8 +4,6 @@ with which numbers.
 The output is ``gain · form(input) + offset``, offset and start each log's own. Forms have unit gain
 at rest, their input goes straight from sample to sample."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,8 +1,6 @@
 """From where parameters start to the basin of the best minimum: a look over their range, and coarse
 solutions from what it met."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 """Output error: the parameters with which the simulation comes nearest to all logs at once, and how
 sure they are."""
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Sequence

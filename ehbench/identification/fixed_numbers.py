@@ -1,7 +1,5 @@
 """What an interval of a bulk modulus counts on: oil volumes and inertia, which the rig file has."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

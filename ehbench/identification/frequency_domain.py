@@ -1,7 +1,5 @@
 """Logs that are compared by their frequency response in place of their samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ A relative change of the parameters by ``d ln p = v`` that changes no channel is
 logs cannot tell. What they do tell are the products ``Π pᵢ^wᵢ`` with ``w`` orthogonal to all such
 ``v``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

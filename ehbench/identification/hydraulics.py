@@ -11,8 +11,6 @@ status word: ``estimated``; ``at_bound``: the data push it beyond its bound; ``n
 data do not tell it, it stays at its start and its interval is unbounded; ``correlated``: the data
 tell it only together with another one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

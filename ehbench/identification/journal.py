@@ -5,8 +5,6 @@ A search is a chain of steps, each a function of what it starts from and of noth
 journal keeps what each came to under the SHA-256 of its start; a search that is done again skips
 the steps whose starts are the same, and ends with the same bytes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

@@ -2,8 +2,6 @@
 (thesis 2.3).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 """How many samples of a log are compared as one mean: of a log much faster than the machine, as
 many as take next to nothing from what it tells."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

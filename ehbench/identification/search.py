@@ -1,7 +1,5 @@
 """Parameters as search coordinates: where a search starts, between which bounds, in which units."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence

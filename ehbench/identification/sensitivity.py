@@ -7,8 +7,6 @@ their sensitivities and j that of the number (Ljung, System Identification, 2nd 
 logs favour another value, and an estimate would leave its interval for it, the number is freed in a
 further fit before it is reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

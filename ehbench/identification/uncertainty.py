@@ -1,7 +1,5 @@
 """How sure a fit by output error is of its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

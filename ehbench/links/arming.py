@@ -1,8 +1,6 @@
 """What must hold before a trial moves a machine: a dry run within the same limits, a stopping
 distance that fits the margin, a link that keeps time, and a person who says so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """Machines that play a whole table of commands by their own clock and then give their log: enough
 for every open-loop test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 

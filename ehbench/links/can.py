@@ -1,7 +1,5 @@
 """Vectors as frames of CAN, by a DBC file: signals ``up_press_x``, ``down_press_servo_command``."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path

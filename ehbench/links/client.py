@@ -1,7 +1,5 @@
 """A target at the other end of a link, behind the protocol of every machine."""
 
-from __future__ import annotations
-
 import math
 import secrets
 import time

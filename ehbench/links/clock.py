@@ -1,7 +1,5 @@
 """Delays and clocks of a link, from the packets that a trial's log has."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How well this computer and this link serve a trial, measured before any oil moves."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from contextlib import closing

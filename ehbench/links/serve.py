@@ -1,7 +1,5 @@
 """A model or a virtual bench as a target of its own: the reference for what a rig must do."""
 
-from __future__ import annotations
-
 import socket
 import struct
 from collections import deque

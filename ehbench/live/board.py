@@ -2,8 +2,6 @@
 
 This module loads fast: the view's process needs little else."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ehbench.vocabulary.settings import setting

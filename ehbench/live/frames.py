@@ -1,7 +1,5 @@
 """What a live view shows of a trial, from the numbers on its board."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator, Sequence

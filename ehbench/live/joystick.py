@@ -1,7 +1,5 @@
 """Joysticks of Linux as levers, through evdev."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """A frame of a live view as text for a terminal."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rich.console import Group

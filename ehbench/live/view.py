@@ -3,8 +3,6 @@
 A trial copies a row of numbers into shared memory: it never waits for the view, and a view that
 ends changes nothing."""
 
-from __future__ import annotations
-
 import json
 import math
 import mmap

@@ -1,7 +1,5 @@
 """A simulated machine that keeps the time of the clock, for people who watch it."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Which machines there are, by the ``on`` of a trial's recipe."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from ehbench.config.recipe import TrialRecipe

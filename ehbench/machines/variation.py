@@ -1,7 +1,5 @@
 """Machines with slower valves, other oil, friction or flow, or later sensors than the design's."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

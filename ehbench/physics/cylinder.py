@@ -3,8 +3,6 @@
 Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head
 end, ``flow_rod`` out of the rod end (thesis 2.4, 2.5)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """A rig whose laws a user's FMU takes the place of: it is started, stepped and read by the names of
 the rig's ``[model]``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Several simulations at once, on threads: kernels release Python's lock."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait

@@ -1,7 +1,5 @@
 """Which state asks for very short steps where the steps are chosen by the guard."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass

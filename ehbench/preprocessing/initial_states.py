@@ -5,8 +5,6 @@ is not the pressure at the first sample, and a supply's pressure is known to its
 number is a nuisance, in units of the standard deviation that the recording leaves it (its prior);
 identification and validation let the whole log estimate it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What a log shows of a cylinder, and how: the rules that identification and validation share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -2,8 +2,6 @@
 
 What cannot be right raises an error; the rest are notes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

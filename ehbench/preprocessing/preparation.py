@@ -4,8 +4,6 @@ says, what is known of its sensors taken out.
 A slip of a unit or a name gives a fit that looks like one. So every log passes here first: what
 cannot be right is refused with what would be right, what is merely odd comes back as a note."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

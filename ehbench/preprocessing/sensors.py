@@ -6,8 +6,6 @@ is a `Term`. Its bias e is what the number is off from the known one:
 
     log, known taken out = (1 + e_scale) · late(true) + e_offset"""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

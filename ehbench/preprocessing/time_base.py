@@ -4,8 +4,6 @@ Stamps that jitter are put on the beats of their rate. A few missing samples are
 gaps the log is cut into parts. Each part is a log by itself: nothing is known of the gap, so a
 simulation begins anew after it, from an initial state of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -2,8 +2,6 @@
 at all.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

@@ -3,8 +3,6 @@
 A binary is foreign code. Each runs in a process with bounded memory and time, which where the
 system knows how opens no files but its own."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

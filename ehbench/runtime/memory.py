@@ -1,7 +1,5 @@
 """What work would take, said before it begins."""
 
-from __future__ import annotations
-
 import os
 
 from ehbench.vocabulary.errors import InputError

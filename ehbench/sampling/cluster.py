@@ -1,8 +1,6 @@
 """Samples on a Dask cluster: chunks of tasks, the study's files once to each worker. Workers may
 come, go and die."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import threading

@@ -1,7 +1,5 @@
 """The samples of a running study on disk, a line each; the last one may be torn."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

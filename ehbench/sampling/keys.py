@@ -5,8 +5,6 @@
 are entered by an entry's name or number; ``bench.delay`` by the bench file that it names. A ``*``
 stands for any part of a parameter's name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace

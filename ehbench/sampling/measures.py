@@ -1,7 +1,5 @@
 """What is taken of a sample: numbers of its results by name, or of its log's channels."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import types

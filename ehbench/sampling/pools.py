@@ -1,8 +1,6 @@
 """Where samples are made: threads or processes here, or a Dask cluster
 (`ehbench.sampling.cluster`). No sample depends on where or in which order it is made."""
 
-from __future__ import annotations
-
 import pickle
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What the samples of a study say together, as ``study.json`` states it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass

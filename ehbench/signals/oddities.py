@@ -1,7 +1,5 @@
 """What a sensor cannot have seen: sentinels, an angle that wraps, jumps of a single sample."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

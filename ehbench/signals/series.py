@@ -3,8 +3,6 @@
 A series is sampled evenly; ``y`` is (samples,) or (samples, channels). Correlations are of the
 series minus its mean."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Where a user's code lies and which files it imports, without running any of it."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import sysconfig

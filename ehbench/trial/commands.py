@@ -1,7 +1,5 @@
 """Open-loop commands of a trial as a table of volts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Several cylinders at once: the motion of each, as long as the longest and no faster than the
 pump allows, and the others' motions for laws that use them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 A lever's deflection becomes a desired speed, and that a desired stroke, by rules that know nothing
 of the clock: the deflections of a log give the same motion once more, to the bit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 and to a swing of the reference.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

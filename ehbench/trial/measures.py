@@ -1,7 +1,5 @@
 """How well a trial did, from arrays in SI, and what a law learnt of its flow maps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

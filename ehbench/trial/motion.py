@@ -1,7 +1,5 @@
 """What the controlled cylinder shall do, as a table of references, one row a tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Controllers by themselves, one tick at a time: for a plant of the user's, or a loop of theirs."""
 
-from __future__ import annotations
-
 from typing import Protocol, runtime_checkable
 
 import numpy as np

@@ -1,8 +1,6 @@
 """A user's controller: loads the class, calls it tick by tick, and reports where it went wrong; the
 protocol is in docs/howto/run_trials.md."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

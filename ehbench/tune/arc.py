@@ -1,8 +1,6 @@
 """The bandwidths of the adaptive robust controller: the fastest that keep margins at every
 operating point of the whole sampled loop (`ehbench.tune.arc_loop`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """How sure a tuning is: the worst damping ratio over draws of the identified parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

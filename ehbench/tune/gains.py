@@ -4,8 +4,6 @@ Gains are chosen on `ehbench.tune.linear` models: the gain with the largest leas
 all operating points, of those that keep the stated gain margin, phase margin and bandwidth at every
 one of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """Operating points: steady motions of one cylinder, of a working function at a posture, payload
 and speed, with all other joints held (SPEC 3), and the state of the plant in them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The search for a law, its washouts and off-side gain, and for the gain of its feedback."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -2,8 +2,6 @@
 exact delay says how far. Where poles and zeros nearly cancel, the roots of polynomials are rounding
 errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

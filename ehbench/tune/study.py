@@ -1,7 +1,5 @@
 """What gains are tuned on: operating points over postures, payloads, functions and speeds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

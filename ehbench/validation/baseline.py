@@ -7,8 +7,6 @@ y counts from its level before the first command, u_j are the commands of the ch
 each direction for itself: the two areas of a cylinder differ. Where it predicts a channel better
 than the model, the model lacks what the logs hold."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Requirements on a model on a log: thresholds compared with what was reached."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ format or with more samples has the same rows; another window of the same log ha
 was rounded or put on another time base has no such rows, but its noise is that of the fitted
 samples, where a second recording of the same test has noise of its own."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

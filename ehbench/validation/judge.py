@@ -4,8 +4,6 @@ is compared with the recording channel by channel.
 Where a log starts, its recording says within what its first samples leave open
 (`preprocessing.initial_states.follow_recording`). Errors are simulated minus recorded, in SI."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Both are estimated alike (`ehbench.frequency_response`), from the command to a channel of its
 cylinder, so windows, averages and laws that are not linear act alike on both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

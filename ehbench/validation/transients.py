@@ -3,8 +3,6 @@
 A window is judged only where something rings: its command stands for several periods, the
 oscillation decays, and halves of the window show the same frequency."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

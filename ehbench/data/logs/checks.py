@@ -1,7 +1,5 @@
 """What a log must be: known channels with units, a time that goes on, plausible values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches

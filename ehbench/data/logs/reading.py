@@ -1,7 +1,5 @@
 """MCAP logs read into a `Record`: SI, with notes on what is missing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CSV logs: a header that names channels with their units, and rows of numbers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ A reader says what stands in a file and changes nothing: names, units and time b
 own; a map of columns makes channels of them (`ehbench.data.channels`). To add a format, write one
 file here with a function ``read(path, dialect) -> Source`` and a row in ``READERS``."""
 
-from __future__ import annotations
-
 import codecs
 import re
 import stat

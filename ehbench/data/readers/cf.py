@@ -1,8 +1,6 @@
 """Attributes by which netCDF and HDF5 files say how stored numbers convert: the CF conventions,
 sections 2.5.1, 4.4 and 8.1."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any

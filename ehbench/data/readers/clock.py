@@ -1,7 +1,5 @@
 """Times as text, as moments and as counts of days or seconds: seconds since the first."""
 
-from __future__ import annotations
-
 import calendar
 import re
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Excel workbooks, by openpyxl: a table a sheet, its header looked for as in a text file."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Iterable

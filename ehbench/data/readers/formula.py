@@ -3,8 +3,6 @@
 A formula is parsed by Python's own grammar and walked: whatever is not a number, the variable, an
 operator or a function of the tables here is refused. ``^`` is a power, as ASAM writes it."""
 
-from __future__ import annotations
-
 import ast
 import operator
 import re

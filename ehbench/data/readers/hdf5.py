@@ -1,8 +1,6 @@
 """HDF5 files, those of netCDF-4 and MAT files of version 7.3 among them, by h5py: data sets of
 numbers, a table for those of one group and length."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

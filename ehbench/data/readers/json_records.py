@@ -1,7 +1,5 @@
 """JSON by pandas: records, one a line or in an array, or an object of columns; read on as text."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

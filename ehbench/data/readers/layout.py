@@ -1,8 +1,6 @@
 """Where things stand in lines of text: the marks between cells, the tables, their headers, units
 and first rows of numbers."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

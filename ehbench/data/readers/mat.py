@@ -1,8 +1,6 @@
 """MAT files up to version 7, by SciPy: vectors, matrices and structs of numbers, with the names and
 units that Simulink, ControlDesk and PicoScope write beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real

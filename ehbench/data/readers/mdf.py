@@ -1,7 +1,5 @@
 """MDF 3 and 4 measurements, by asammdf: a table a channel group, on the group's own time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 """NumPy's archives and arrays: a column for each array, or several for a matrix or records; a table
 for the arrays of one folder and length."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

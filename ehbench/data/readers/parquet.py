@@ -1,7 +1,5 @@
 """Parquet tables, by pyarrow."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

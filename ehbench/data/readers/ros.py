@@ -1,8 +1,6 @@
 """ROS 2 bags and MCAP files with ROS messages, by rosbags: a table a topic, a column each number
 in its messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path

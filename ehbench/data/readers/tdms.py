@@ -1,7 +1,5 @@
 """TDMS files of LabVIEW, by npTDMS: a table for the channels of a group that have one time base."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

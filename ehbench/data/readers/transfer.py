@@ -1,8 +1,6 @@
 """What a reader gives, from a child process to the one that waits for it: facts as JSON, then the
 numbers as they lie in memory. Nothing of it is code."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
