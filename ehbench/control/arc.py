@@ -65,6 +65,7 @@ from ehbench.parts.sample import OF, entry
 from ehbench.parts.supply import beside_change
 from ehbench.physics.arm import work_size
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import (
     AGAINST,
     DISTURBANCE,
@@ -78,7 +79,6 @@ from ehbench.vocabulary.codes import (
     SATURATED,
     WEIGHED,
 )
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from ehbench.control.functions import (
 from ehbench.control.measured import Pressures
 from ehbench.control.records import constants
 from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import AGAINST, FAINT, REVERSED, SATURATED
-from ehbench.vocabulary.settings import setting
 
 GAIN, SHIFT = 0, 1
 # columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind

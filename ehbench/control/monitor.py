@@ -26,8 +26,8 @@ from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import OF, entry
 from ehbench.parts.supply import rail_pressure
 from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import HOLD
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

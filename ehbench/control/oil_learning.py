@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ehbench.control.records import constants
 from ehbench.runtime.compiled import kernel, record
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 # the estimates: θ4 − 1, lateness [s], missing shares of the flow, extending and retracting
 SOFTER, LATER, MORE, BACK = range(4)

@@ -20,11 +20,8 @@ from ehbench.control.records import blank, constants, numbers, reals
 from ehbench.control.trajectory import reference_of
 from ehbench.parts.sample import OF, entry
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
 from ehbench.vocabulary.codes import HOLD, SATURATED
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,8 @@ from ehbench.control.trajectory import (
 from ehbench.control.valve_level import Flows, allocate, shut
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from ehbench.parts.cylinder import chamber_oil, linkage_of
 from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry
 from ehbench.physics.arm import work_size
 from ehbench.runtime.compiled import kernel
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

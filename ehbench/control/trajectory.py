@@ -12,8 +12,7 @@ import numpy as np
 from ehbench.control.records import blank, reals
 from ehbench.runtime.compiled import kernel, record
 from ehbench.runtime.memory import rows_of
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class Reference(NamedTuple):

@@ -8,12 +8,8 @@ from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap
 from ehbench.data.rates import SETTINGS, Group, Window, in_window, is_bad, lines_text, range_of
 from ehbench.data.record import resampled
 from ehbench.signals.series import stretches_of
+from ehbench.vocabulary import Message, from_si, listed, message, plural, quantity
 from ehbench.vocabulary.errors import LogError, UnitError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.text import listed
-from ehbench.vocabulary.units import from_si
 
 
 def clean(

@@ -25,10 +25,7 @@ from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record
 from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
-from ehbench.vocabulary.errors import InputError, LogError, UnitError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.text import listed
+from ehbench.vocabulary import VOCABULARY, InputError, LogError, Message, UnitError, listed, message
 
 DAYS = ("d", "day", "days")  # units of a time that spreadsheets count
 

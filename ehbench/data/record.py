@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.signals.series import block_averages
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import label, plural, shown, table
-from ehbench.vocabulary.quantities import like_channel, quantity
-from ehbench.vocabulary.text import listed
+from ehbench.vocabulary import LogError, Message, listed, message, plural, quantity
+from ehbench.vocabulary.notebook import label, shown, table
+from ehbench.vocabulary.quantities import like_channel
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,7 +19,7 @@ from ehbench.diagnosis.pins import disagreements
 from ehbench.diagnosis.recordings import misread
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary import EhbenchError
 
 __all__ = [
     "DOMINANT",

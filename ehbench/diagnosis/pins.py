@@ -4,8 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from ehbench.diagnosis.cases import Case
 from ehbench.preprocessing.plausibility import off_pins
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import from_si, quantity
 
 _KEYS = {
     "pins": ("phase", "retracted_length", "l_a", "l_b"),

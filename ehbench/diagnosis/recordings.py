@@ -10,8 +10,7 @@ import numpy as np
 from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.plant.foreign import model_of
 from ehbench.preprocessing.observations import payload_of
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import EhbenchError, Message, message
 
 NONE = "none"
 Otherwise = tuple[Case, str, dict[str, str]]  # a log as it may be, its message and fields

@@ -9,8 +9,7 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 C_TYPES = {"double": "double", "ptr": "char *", "i1": "_Bool", "void": "void"}
 C_TYPES |= {f"i{bits}": f"uint{max(8, 1 << (bits - 1).bit_length())}_t" for bits in range(2, 65)}

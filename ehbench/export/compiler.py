@@ -9,8 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 

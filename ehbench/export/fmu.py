@@ -17,7 +17,7 @@ from ehbench.export.content import Export, Written
 from ehbench.export.kernels import Kernels
 from ehbench.export.source import template, write_sources
 from ehbench.runtime.disk import replacing, write_text
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 from ehbench.vocabulary.units import exponents
 
 SOURCES = ("fmi.c", "{name}.c")

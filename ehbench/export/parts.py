@@ -17,10 +17,9 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.trial import Prepared, Session
 from ehbench.trial.controllers import Compiled, Design
-from ehbench.vocabulary.errors import InputError, one_line
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import STROKES, VOCABULARY
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
+from ehbench.vocabulary.errors import one_line
+from ehbench.vocabulary.quantities import STROKES
 
 
 @dataclass(frozen=True)

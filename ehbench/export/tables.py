@@ -8,8 +8,7 @@ from ehbench.export.content import Export, Written
 from ehbench.export.linear import state_spaces
 from ehbench.export.matlab import matlab_files
 from ehbench.runtime.disk import replacing
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 
 def write_matlab(export: Export, folder: Path) -> list[Written]:

@@ -45,10 +45,7 @@ from ehbench.flow_maps.shape import (
     start_deadband,
     window_of,
 )
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, InsufficientData, message, setting
 
 
 @dataclass(frozen=True)

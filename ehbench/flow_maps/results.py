@@ -15,8 +15,7 @@ from ehbench.flow_maps.shape import regression
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Spline
 from ehbench.physics.flow_map import FlowMap, root_drop
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, Message, message
 
 
 @dataclass(frozen=True)

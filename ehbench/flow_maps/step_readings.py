@@ -24,9 +24,7 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import least_changes
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.signals.series import transients
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, message, setting
 
 
 @dataclass(frozen=True)

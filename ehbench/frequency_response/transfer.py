@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.signals.series import correlation_time, fit_percent
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 # by form: the real poles that it has, whether it has a pair of natural frequency and damping ratio,
 # whether it has a delay

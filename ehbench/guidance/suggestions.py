@@ -29,10 +29,8 @@ from ehbench.identification.simulator import Log
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.terminal import Answer
 from ehbench.signals.series import white_noise
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
 
 SECONDS = 120.0  # of trying, by default
 ROUNDS = 5  # changes on top of one another, at most

@@ -26,7 +26,7 @@ from ehbench.identification.problem import (
     squares,
     weighed,
 )
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from ehbench.identification.problem import (
     weighed,
 )
 from ehbench.identification.simulator import Shifts
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

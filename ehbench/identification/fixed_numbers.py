@@ -6,7 +6,7 @@ import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 WORD = "bulk_modulus"
 MORE = 0.1  # share by which volumes and inertia are thought larger

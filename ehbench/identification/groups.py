@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, Message, message, setting
 
 
 @dataclass(frozen=True)

@@ -40,11 +40,9 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import payload_of
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.signals.series import correlation_time
+from ehbench.vocabulary import VOCABULARY, Z95, Progress, message
 from ehbench.vocabulary.errors import InputError, InsufficientData, placed
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import VOCABULARY, meant
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.quantities import meant
 
 __all__ = [
     "FitOptions",

@@ -15,7 +15,7 @@ from typing import Any
 
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary import EhbenchError, InputError
 
 EVERY = 0.5  # [s] between writings: what a killed search loses at most
 

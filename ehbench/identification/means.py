@@ -12,8 +12,7 @@ from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.plant.paced import CLOSE, pace_of
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import Message, message, setting
 
 Decimate = int | Literal["auto"]
 

@@ -36,10 +36,8 @@ from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.plant.ties import position_channel, tied_words
 from ehbench.preprocessing.sensors import VAGUE, Term
 from ehbench.signals.series import lowpass, white_noise
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import BEYOND, Z95
+from ehbench.vocabulary import Z95, EhbenchError, Message, message, setting
+from ehbench.vocabulary.terms import BEYOND
 
 IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
 

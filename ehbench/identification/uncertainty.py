@@ -19,8 +19,8 @@ from ehbench.identification.results import (
     not_excited,
 )
 from ehbench.identification.search import VAGUE
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import CORRELATED, Z95
+from ehbench.vocabulary import Z95, message
+from ehbench.vocabulary.terms import CORRELATED
 
 ROUNDING = 1e-9  # share of the reach within which a number is at its bound
 

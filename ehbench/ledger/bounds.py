@@ -11,10 +11,8 @@ from ehbench.ledger.sheet import Ledger, function_of
 from ehbench.parts.oil import bulk
 from ehbench.physics.cylinder import linkage
 from ehbench.plant.build import oil_fields, pins_of
+from ehbench.vocabulary import InsufficientData, message, setting
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from ehbench.data.record import Record, payloads_of
 from ehbench.ledger.powers import CylinderPowers, CylinderStores
 from ehbench.parts.nodes import SUPPLY
 from ehbench.plant.model import Model
+from ehbench.vocabulary import Z95, InputError, LogError, message
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError, LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import MECHANICAL, Z95
+from ehbench.vocabulary.terms import MECHANICAL
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder

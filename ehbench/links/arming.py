@@ -29,9 +29,7 @@ from ehbench.trial.operator import (
 from ehbench.trial.preparation import RUN_OUT, Prepared
 from ehbench.trial.running import Result, run
 from ehbench.trial.session import SESSION, Watcher
-from ehbench.vocabulary.errors import InputError, SimulationError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, SimulationError, message
 
 Ask = Callable[[str, str], str]  # (what is about to happen, the token) → what was typed
 PROBE = 2.0  # [s] for which a link is measured before each trial

@@ -22,8 +22,7 @@ from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, violated
 from ehbench.plant.trim import LowSide
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 STOPPED_BY = 3  # where the stamp of a row's checks has the machine's reason
 

@@ -10,8 +10,7 @@ import numpy as np
 from ehbench.links.layout import FRAMES
 from ehbench.links.responder import Target
 from ehbench.links.transport import datagram_of
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class Frames:

@@ -17,7 +17,7 @@ from ehbench.machines.rows import LawRows, control
 from ehbench.parts.sample import OF, entry
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary import SimulationError
 
 LINK_FAULTS = ("link_lost", "link_delayed", "link_reordered")  # those of packets
 

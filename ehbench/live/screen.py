@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ehbench.live.board import VIEW, Facts
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 
 def screen(facts: Facts, frame: dict[str, Any]) -> Group:

@@ -41,8 +41,7 @@ from ehbench.machines.rows import LIMITS
 from ehbench.trial.operator import levers_of
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.session import Session
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, from_si
 
 SHOWN = ("x", "v", "p_head", "p_rod", "command", "following_error")  # words with a unit of a view
 

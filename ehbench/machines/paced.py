@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from ehbench.machines.protocol import Machine
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.variation import varied
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.build import Maps
-from ehbench.vocabulary.errors import placed
+from ehbench.vocabulary import placed
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
     "model": lambda recipe, rig, maps: (SimulatedMachine if rig.model is None else FmuMachine).of(

@@ -13,9 +13,8 @@ from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMaps, collect
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import VOCABULARY, InputError
 from ehbench.vocabulary.fields import Value, read_value
-from ehbench.vocabulary.quantities import VOCABULARY
 
 FRICTION = ("friction_coulomb", "friction_static", "friction_viscous")
 FLOW = ("flow_gain", "compensated_gain", "map_factor")

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from ehbench.runtime.compiled import kernel
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError
 
 PINS, DIRECT, RACK = 0, 1, 2
 

@@ -20,9 +20,8 @@ from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import Step
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.runtime.fmu import FmuProcess, Variable, fmu_of
-from ehbench.vocabulary.errors import FmuError, InputError, LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary import InputError, LogError, message, quantity
+from ehbench.vocabulary.errors import FmuError
 
 SAME = {"q": "x", "x": "q", "qd": "v", "v": "qd"}  # what a linkage makes of each
 

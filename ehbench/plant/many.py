@@ -11,7 +11,7 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, Start
 from ehbench.plant.paced import Step
 from ehbench.runtime.cores import cores
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary import EhbenchError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

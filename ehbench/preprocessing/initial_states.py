@@ -26,9 +26,7 @@ from ehbench.preprocessing.observations import column, count_error
 from ehbench.preprocessing.plausibility import moving_at_first, on_at_first
 from ehbench.preprocessing.sensors import Bias, Term, corrected, sensed
 from ehbench.signals.series import LEAST_LINE, autocorrelation, correlation_time, rms
-from ehbench.vocabulary.errors import SimulationError
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import SimulationError, quantity, setting
 
 SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
 NO_BIAS: Mapping[str, float] = {}  # no bias of the sensors of all logs

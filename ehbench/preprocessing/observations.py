@@ -11,10 +11,8 @@ from ehbench.data.record import Record, payloads_of
 from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import RECORDED, SUPPLY, supplied
 from ehbench.signals.series import lowpass, rms, white_noise
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import InputError, Message, message, setting
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.settings import setting
 
 # what stands in for a channel that a log lacks, and moves with it
 STAND_INS = {

@@ -32,8 +32,7 @@ from ehbench.preprocessing.plausibility import (
 )
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.preprocessing.time_base import evened
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import InputError, Message, message
 from ehbench.vocabulary.text import numbered
 
 

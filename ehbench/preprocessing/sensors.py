@@ -15,9 +15,8 @@ import numpy as np
 from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.data.record import Record
 from ehbench.plant.ties import tied_words, without_noise
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import like_channel
 
 ATMOSPHERE = 101_325.0  # [Pa]

@@ -13,10 +13,7 @@ import numpy as np
 from ehbench.data.rates import SETTINGS as RATES
 from ehbench.data.record import Record, resampled
 from ehbench.signals.timestamps import missing_rows, timestamps_of
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import listed
+from ehbench.vocabulary import LogError, Message, listed, message, setting
 
 
 @dataclass(frozen=True)

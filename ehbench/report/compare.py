@@ -23,9 +23,7 @@ from ehbench.report.words import (
 )
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, InputError, message
 
 _RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
 

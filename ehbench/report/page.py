@@ -45,11 +45,9 @@ from ehbench.report.words import (
 from ehbench.runs import rundir
 from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
-from ehbench.vocabulary.errors import EhbenchError, InputError, nearest
+from ehbench.vocabulary import Z95, EhbenchError, InputError, message, plural
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.terms import Z95
 
 
 def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:

@@ -11,8 +11,7 @@ from ehbench.report.saved import Saved
 from ehbench.runs import rundir
 from ehbench.runs.rundir import read_json, sha256
 from ehbench.runs.versions import outdated, read_versions
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import EhbenchError, Message, message
 
 
 @dataclass(frozen=True)

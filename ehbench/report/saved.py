@@ -17,11 +17,8 @@ from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.text import text_table
 from ehbench.runs.rundir import read_json, write_json
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, quantity
+from ehbench.vocabulary import VOCABULARY, InputError, message, quantity, to_si
 from ehbench.vocabulary.text import unlike
-from ehbench.vocabulary.units import to_si
 
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _INDEX = "figures/index.json"

@@ -28,8 +28,7 @@ from typing import Any
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import DATA, impossible, read_bytes, write_text
 from ehbench.runtime.interrupts import unbroken
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import EhbenchError, InputError, Message, message
 from ehbench.vocabulary.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parents[1]

@@ -19,9 +19,7 @@ from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import POOLS
 from ehbench.sampling.sample import Make, Sample, Task, Workers
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, message, setting
 
 if TYPE_CHECKING:
     from distributed import Future

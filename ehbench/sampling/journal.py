@@ -12,8 +12,7 @@ import numpy as np
 
 from ehbench.runs.rundir import FULL
 from ehbench.sampling.sample import Sample
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class Journal:

@@ -16,9 +16,8 @@ from typing import Any
 from ehbench.config.recipe import validated
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
-from ehbench.vocabulary.errors import InputError, UnitError, placed
+from ehbench.vocabulary import InputError, UnitError, message, placed
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import split_number
 
 RIG, RECIPE, BENCH = "rig", "recipe", "bench"

@@ -11,9 +11,7 @@ import numpy as np
 
 from ehbench.config.recipe import Measure
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message
 
 ANY, ENTRY = "*", "0"
 # words of results that are quantities under another name

@@ -17,8 +17,7 @@ from typing import Any
 
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Make, Open, Sample, Task
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.signals.series import stretches_of
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

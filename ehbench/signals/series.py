@@ -14,8 +14,7 @@ import numpy as np
 
 from ehbench.signals import oscillation
 from ehbench.signals.oscillation import basis, drift, project
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 LEAST_LINE = 8  # samples that show a slope
 _SETTLE = 0.02  # [s] that a window between two changes of a command lasts at least

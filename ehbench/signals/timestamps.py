@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

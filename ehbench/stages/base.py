@@ -19,10 +19,8 @@ from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
 from ehbench.sampling.sample import Workers
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState, maps_in
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import label, plural, shown, table
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message, plural
+from ehbench.vocabulary.notebook import label, shown, table
 
 if TYPE_CHECKING:
     import pandas as pd

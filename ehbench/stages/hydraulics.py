@@ -23,10 +23,7 @@ from ehbench.stages.base import (
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.stages.relocation import name_from, relocated
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message, plural
 
 if TYPE_CHECKING:
     from ehbench.config.recipe.sensor import Sensor

@@ -13,11 +13,8 @@ from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import PreparedFromLogs, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary import Progress, message, plural, quantity
 from ehbench.vocabulary.fields import Q, Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
     from ehbench.frequency_response.response import Signals

@@ -34,9 +34,7 @@ from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import relative
 from ehbench.stages.trial import PreparedOne
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,8 @@ from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, REJECTED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, ValidatedRig
-from ehbench.vocabulary.errors import InsufficientData, ModelRejected
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InsufficientData, Progress, message, plural
+from ehbench.vocabulary.errors import ModelRejected
 
 if TYPE_CHECKING:
     from ehbench.tune.arc import ArcTuning

@@ -18,11 +18,9 @@ from ehbench.ledger import Accuracy, bounds, ledger_of_log, ledger_of_model
 from ehbench.plant.many import map_threads
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, Facts, Result, run
+from ehbench.vocabulary import VOCABULARY, Message, from_si, message
 from ehbench.vocabulary.errors import EhbenchError, InsufficientData, SimulationError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.text import numbered, quoted
-from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

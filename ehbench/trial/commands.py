@@ -9,8 +9,7 @@ import numpy as np
 from ehbench.config.recipe import Command, TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray:

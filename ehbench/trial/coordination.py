@@ -22,7 +22,7 @@ from ehbench.physics.tip import Chain, tip_of
 from ehbench.trial.controllers import Design, controller_of
 from ehbench.trial.measures import tracking_measures
 from ehbench.trial.motion import References, standing
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

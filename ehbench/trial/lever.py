@@ -14,7 +14,7 @@ from ehbench.control.trajectory import ORDERS, A, X
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 DEFLECTION, DEADMAN = range(2)  # columns of what a lever said
 LEVER_CHANNELS = ("operator", "deadman")  # by which logs have them

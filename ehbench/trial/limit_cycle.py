@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ehbench.runtime.compiled import kernel
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

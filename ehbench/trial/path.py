@@ -18,11 +18,7 @@ from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
 from ehbench.trial.motion import limits_of
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import InputError, from_si, message, quantity, setting
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline

@@ -38,10 +38,7 @@ from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.motion import References, lasting, references, rest
 from ehbench.trial.path import along_path, route
 from ehbench.trial.user_code import UserCode
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, InputError, Message, from_si, message
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

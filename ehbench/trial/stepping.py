@@ -9,8 +9,7 @@ from ehbench.machines.rows import control
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.session import packed
 from ehbench.trial.user_code import UserCode
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 @runtime_checkable

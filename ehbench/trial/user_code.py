@@ -28,11 +28,8 @@ from ehbench.runtime.compiled import bound
 from ehbench.runtime.interrupts import Terminated
 from ehbench.trial.code import code_file
 from ehbench.trial.controllers import Design, controller_of, quantities
+from ehbench.vocabulary import VOCABULARY, Message, Quantity, message, quantity, setting, shortened
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import shortened
 
 NOTE = "note."  # what the channel of a note begins with: no machine measures such a one
 _NOTE_NAME = re.compile(r"(?:\w[\w-]{0,99}\.){0,9}\w{1,99}")

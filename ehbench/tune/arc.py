@@ -16,10 +16,7 @@ from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.tune.arc_loop import ARC_LOOP, ArcLoop, LoopMargins, SampledPlant, Sensing
 from ehbench.tune.study import Study, rail_notes
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, Message, Progress, message, setting
 
 
 @dataclass(frozen=True)

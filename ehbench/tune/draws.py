@@ -17,9 +17,8 @@ from ehbench.tune.operating_point import Aim, equivalent
 from ehbench.tune.results import PointResult, Robustness
 from ehbench.tune.search import SEARCH
 from ehbench.tune.study import SteadyMotion, Study, model_under
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
 
 Correlation = tuple[Sequence[str], Any]  # (names, matrix) of the identified parameters
 

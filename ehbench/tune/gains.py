@@ -29,9 +29,8 @@ from ehbench.tune.operating_point import OperatingPoint
 from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, functions_of, pairs
 from ehbench.tune.search import SEARCH, LawSearch, choose_gain
 from ehbench.tune.study import SteadyMotion, Study
+from ehbench.vocabulary import Message, Progress, message
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.progress import Progress
 
 
 def tune_pressure_feedback(

@@ -39,10 +39,8 @@ from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
+from ehbench.vocabulary import InputError, Message, message, setting
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this

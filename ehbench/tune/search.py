@@ -14,9 +14,8 @@ from ehbench.tune.linear import faster
 from ehbench.tune.loop import Law, Loop, margins, violations
 from ehbench.tune.results import Alternative
 from ehbench.tune.study import SteadyMotion
+from ehbench.vocabulary import Message, message, setting
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

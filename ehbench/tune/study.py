@@ -26,11 +26,9 @@ from ehbench.tune.operating_point import (
     operating_point,
 )
 from ehbench.tune.results import Curves
+from ehbench.vocabulary import VOCABULARY, InputError, InsufficientData, Message, message
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
 
 NONE = "none"  # the payload's name where there is none
 POSTURES = 41  # of the curves of equivalent mass and gravity

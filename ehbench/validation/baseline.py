@@ -17,8 +17,7 @@ from ehbench.data.record import Record, block_averages
 from ehbench.preprocessing.observations import column
 from ehbench.signals import series
 from ehbench.validation.results import BlackBox, LogResult
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 
 @dataclass(frozen=True)

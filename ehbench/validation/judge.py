@@ -41,11 +41,10 @@ from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
+from ehbench.vocabulary import Message, Progress, message, setting
 from ehbench.vocabulary.errors import EhbenchError, FmuError, InputError, LogError, placed
-from ehbench.vocabulary.messages import Message, message, of_log
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.messages import of_log
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.text import numbered
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")

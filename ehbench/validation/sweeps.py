@@ -23,9 +23,7 @@ from ehbench.preprocessing.observations import least_change
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Sweep
 from ehbench.validation.transients import OSCILLATES, steps_only
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, EhbenchError, setting
 
 
 @dataclass(frozen=True)

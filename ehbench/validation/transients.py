@@ -16,9 +16,8 @@ from ehbench.preprocessing.observations import least_change, noise_of
 from ehbench.signals import series
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message, setting
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

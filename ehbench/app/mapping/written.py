@@ -10,7 +10,7 @@ from ehbench.data.rates import apart
 from ehbench.data.readers import Source, SourceColumn
 from ehbench.report.style import ACCENT, MUTED, canvas, thin
 from ehbench.signals.timestamps import rate_of_rounded
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _SEPARATOR_KEYS = {"|": "pipe", "\t": "tab", " ": "space"}
 

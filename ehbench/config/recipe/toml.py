@@ -11,10 +11,9 @@ from typing import Any, get_args
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from ehbench.runtime.disk import read_bytes
-from ehbench.vocabulary.errors import InputError, nearest, raise_all
+from ehbench.vocabulary import InputError, Message, message, shortened
+from ehbench.vocabulary.errors import nearest, raise_all
 from ehbench.vocabulary.fields import FROM_FILE, FileModel
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.text import shortened
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(

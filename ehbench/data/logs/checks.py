@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import LogError, UnitError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, quantity
-from ehbench.vocabulary.units import from_si, to_si
+from ehbench.vocabulary import VOCABULARY, LogError, UnitError, from_si, message, quantity, to_si
 
 LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
 

@@ -29,8 +29,7 @@ from ehbench.data.logs.layout import (
     unpack,
 )
 from ehbench.data.record import floats
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary import VOCABULARY, message
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema

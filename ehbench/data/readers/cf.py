@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.data.readers.clock import clock
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 from ehbench.vocabulary.units import factor
 
 _SINCE = re.compile(r"\s*(\w+)\s+since\s+([\d-]+)(?:[T ]([\d:.]+))?\s*(\S*)\s*")

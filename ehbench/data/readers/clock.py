@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import Message, message
 
 _DAY, _HOUR = 86400, 3600
 _CLOCK = r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2})(?:[.,:](\d{1,9}))?\s*([AaPp]\.?[Mm]\.?)?"

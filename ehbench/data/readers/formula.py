@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 _FORMULA_LIMIT = 400  # characters; every step of a formula costs a pass over all samples
 _VARIABLES = ("X", "X1")  # the readings

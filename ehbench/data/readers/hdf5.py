@@ -10,8 +10,7 @@ import h5py
 from ehbench.data.readers.cf import converted, since
 from ehbench.data.readers.table import Dialect, Gathered, Source, unit_of_attributes
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 
 def read(path: Path, dialect: Dialect) -> Source:

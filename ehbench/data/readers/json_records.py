@@ -11,8 +11,7 @@ from ehbench.data.readers.delimited import tables_of
 from ehbench.data.readers.excel import text_line
 from ehbench.data.readers.table import Dialect, Source
 from ehbench.data.text import lines_of, text_of
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 
 def read(path: Path, dialect: Dialect) -> Source:

@@ -11,9 +11,7 @@ from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers.clock import is_time
 from ehbench.data.readers.table import Dialect, unit_in
 from ehbench.data.text import is_hole, measured, number, split
-from ehbench.vocabulary.errors import LogError, UnitError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary import LogError, UnitError, message, shortened
 from ehbench.vocabulary.units import absolute_unit, factor, named_unit
 
 _REMARKS = ("#", "%", "//")

@@ -12,7 +12,7 @@ from scipy.io import loadmat, whosmat
 
 from ehbench.data.readers.table import Dialect, Gathered, Source, column_names
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _DEEPEST = 8  # structs in structs
 _PACKED = 20  # numbers that a byte of a packed file may stand for

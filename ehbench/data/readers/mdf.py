@@ -11,8 +11,7 @@ from ehbench.data.readers.formula import evaluate
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, column_names
 from ehbench.data.record import floats
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 DEPTH = 9  # of conversions that refer to conversions; a file with more is damaged
 

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 
 from ehbench.data.readers.table import Dialect, Gathered, Source, unit_of_attributes
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 
 def read(path: Path, dialect: Dialect) -> Source:

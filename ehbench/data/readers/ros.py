@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _LONGEST = 64  # numbers in a list of a message
 _DEEPEST = 6  # messages in messages

@@ -10,8 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
-from ehbench.vocabulary.errors import EhbenchError, LogError
-from ehbench.vocabulary.messages import Message
+from ehbench.vocabulary import EhbenchError, LogError, Message
 
 _CLASSES = {kind.__name__: kind for kind in (Source, SourceTable, SourceColumn, Dialect)}
 _WIDTH = np.dtype(float).itemsize

@@ -28,9 +28,8 @@ from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
-from ehbench.vocabulary.errors import InputError, placed
+from ehbench.vocabulary import VOCABULARY, InputError, placed
 from ehbench.vocabulary.fields import Value, read_value
-from ehbench.vocabulary.quantities import VOCABULARY
 
 
 class _Given:

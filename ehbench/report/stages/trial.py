@@ -44,7 +44,7 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:

@@ -26,7 +26,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import number, title_of, words
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import Message, message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
