@@ -14,9 +14,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
-from ehbench.diagnosis.follows import Follows, followed
-from ehbench.diagnosis.pins import disagreements
-from ehbench.diagnosis.recordings import misread
+from ehbench.diagnosis.recordings import Follows, disagreements, followed, misread
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
 from ehbench.vocabulary import EhbenchError
