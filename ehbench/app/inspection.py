@@ -203,7 +203,6 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
 
 
 def _map(path: Path) -> Inspection:
-    """A map of columns: what it says of each."""
     columns = load_columns(path).columns
     lines = [f"map of {plural(len(columns.names), 'column')}"]
     for name, column in columns.names.items():

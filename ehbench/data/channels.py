@@ -158,8 +158,6 @@ def overruled(name: str, mapped: MappedColumn, column: SourceColumn, path: Path)
 
 @dataclass(frozen=True)
 class _Mapping:
-    """A file under its map."""
-
     path: Path
     columns: ColumnMap
     source: Source
@@ -222,7 +220,6 @@ class _Mapping:
         return self.source.tables[table].columns[column]
 
     def _si(self, name: str) -> np.ndarray:
-        """A column of the map in SI."""
         mapped = self.columns.columns.names[name]
         lines, column = self.source.tables[self.places[name][0]].lines, self.column(name)
         if mapped.channel == "t":
@@ -364,7 +361,6 @@ def _short(bad: np.ndarray) -> np.ndarray:
 
 
 def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, is_bridged: bool) -> str:
-    """A note on samples that are left out."""
     samples, lines = plural(at.size, "bad sample"), lines_text(group, at)
     if not is_bridged:
         first, last = t[at[0]], t[at[-1]]
@@ -380,7 +376,6 @@ def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, is_brid
 def _bad_sample(
     group: Group, channel: str, at: int, path: Path, travel: float | None
 ) -> LogError | UnitError:
-    """The error of a bad sample."""
     row, value, column = quantity(channel), group.channels[channel][at], group.columns[channel]
     line = group.line(at)
     where = "" if line else f" at t = {group.t[at]:.9g} s"

@@ -502,7 +502,6 @@ def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]
 
 
 def _drop_unit(units: Mapping[str, str]) -> str:
-    """The unit in which a file has its drops."""
     display = VOCABULARY["pressure_drop"].display
     return units.get("pressure_drop") or units.get("upstream_pressure", display)
 

@@ -288,7 +288,6 @@ class Function:
         return f"(int{kind[1:]}_t){self.value(kind, text)}"
 
     def _pointer(self, text: str) -> str:
-        """The address that ``getelementptr`` computes."""
         kind, base, first, *others = split(text)
         address, step = self.value(*typed(base)), size_of(kind)
         terms = [(step, typed(first))]
@@ -321,7 +320,6 @@ class Function:
         return " ".join([*(f"{v} = {new};" for v, _, new in moves if v != new), goto])
 
     def _line(self, line: str, block: str) -> list[str]:
-        """The C lines of an instruction."""
         match = re.match(rf"%({_NAME}) = (.*)$", line)
         result, text = (self.locals.of(match[1]), match[2]) if match else ("", line)
         text = re.sub(r"^(?:tail|musttail|notail) ", "", text)

@@ -208,7 +208,6 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
 
 
 def _gains(law: Compiled) -> Iterator[Variable]:
-    """The gains and rules of a controller."""
     rows = {**law.law.gains, **{name: VOCABULARY[name] for name in RULE_NAMES}}
     gains = law.controller.gains
     values = np.frombuffer(gains.tobytes(), float).tolist()

@@ -103,7 +103,6 @@ def _facts(rig: Rig, fitted: Fitted) -> dict[str, Any]:
 def _places(
     tables: dict[str, Any], path: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
-    """(place in the structs, facts) of each parameter."""
     names = distinct(map(_matlab_name, tables))
     for (word, item), name in zip(tables.items(), names, strict=True):
         if word.endswith("."):
@@ -138,7 +137,6 @@ def _mat(facts: Mapping[tuple[str, ...], Mapping[str, Any]], linear: Sequence[St
 
 
 def _matlab_name(word: str) -> str:
-    """A word as MATLAB takes it for a name."""
     plain = identifier(word)[:60]
     return f"c{plain}" if plain in KEYWORDS else plain
 

@@ -217,7 +217,6 @@ def fit_flow_map(
 def _map_of(
     result: Fit, scatter: float, valve: str, direction: str, outliers: Sequence[Outlier]
 ) -> FlowMap:
-    """The map with its standard errors."""
     r, leak, deadband = result.readings, result.leak, result.deadband
     spline = result.solution.spline
     knots = _digits(deadband.value + spline.along_u.breaks * (spline.top - deadband.value), 10)
@@ -419,7 +418,6 @@ def _chord(
 
 
 def _outliers(result: Fit) -> tuple[Outlier, ...]:
-    """The readings that are not kept, by line."""
     r, out = result.readings, np.flatnonzero(~result.keep)
     return tuple(
         Outlier(

@@ -413,7 +413,6 @@ def _falls_below(
 def _warnings(
     signals: Signals, frequency: np.ndarray, powered: np.ndarray, coherent: np.ndarray
 ) -> list[Message]:
-    """Notes on frequencies without power or coherence."""
     warnings = []
     fields: dict[str, Any] = {"all": powered.size}
     if not powered.all():

@@ -201,8 +201,6 @@ class _Fold:
 
 
 class _Trials:
-    """Trials of changes to one fit."""
-
     head = 10.0  # [s] of a log at least that is looked at
     steps = 25  # of a descent
     fine = 0.005  # share of a channel's spread below which an error does not matter
@@ -325,7 +323,6 @@ class _Trials:
 
     @property
     def _spent(self) -> float:
-        """The share of the time that is spent."""
         return (time.process_time() - self.begun) / max(self.until - self.begun, 1e-9)
 
     def _first(self) -> Tried:

@@ -125,7 +125,6 @@ def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _power_product(powers: dict[str, float]) -> str:
-    """``mass/area_head^2``."""
     sides: dict[bool, list[str]] = {True: [], False: []}
     for name, power in powers.items():
         sides[power > 0].append(name if abs(power) == 1.0 else f"{name}^{abs(power):g}")

@@ -151,7 +151,6 @@ def result_of(
 
 
 def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> results.FittedParameter:
-    """A parameter with its interval."""
     c, error = problem.search[i], errors.by_index.get(i)
     samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in problem.logs)
     item, value = results.not_excited(c, samples), c.at(state.theta[i])

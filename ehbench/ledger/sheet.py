@@ -290,7 +290,6 @@ def _rows(model: Model) -> tuple[list[Named], list[Named]]:
 def _of_each(
     model: Model, cylinders: Iterable[int], key: str, group: str, label: str
 ) -> list[Named]:
-    """A row of each of some cylinders."""
     names = [model.layout.cylinders[c] for c in cylinders]
     return [(f"{name}.{key}", group, label, name) for name in names]
 

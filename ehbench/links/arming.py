@@ -107,7 +107,6 @@ def rehearsed(prepared: Prepared, watchdog: float) -> tuple[Result, dict[str, fl
 
 
 def _as_long(prepared: Prepared, rows: int) -> Prepared:
-    """A trial of so many rows at most."""
     return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 

@@ -155,7 +155,6 @@ class ServedTarget(Target):
         return self._sent(datagram)
 
     def _sent(self, datagram: bytes) -> bytes:
-        """What goes out in a tick over a link with faults."""
         if self._fails("link_reordered") is not None:
             if self.sequence % 2:  # it comes behind the next, which is newer
                 self._held, datagram = datagram, self._held

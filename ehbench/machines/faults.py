@@ -220,7 +220,6 @@ class FaultyMachine:
         return [item for item in self._failures if KINDS[item.fault.kind].place == place]
 
     def _sensed(self, sample: np.ndarray) -> np.ndarray:
-        """What the sensors say of a sample."""
         self._sampled.take(sample)
         t, shown = self._tick / self.rate, sample.copy()
         for failure in self._of("sensor"):

@@ -104,7 +104,6 @@ def _powers(rig: Rig) -> dict[str, int]:
 
 
 def _changed(name: str, number: float, change: MachineChange, powers: Mapping[str, int]) -> float:
-    """A parameter of a rig after a change."""
     word = name.rpartition(".")[2]
     if name in powers:
         return number * change.valve_lag ** powers[name]
@@ -118,7 +117,6 @@ def _changed(name: str, number: float, change: MachineChange, powers: Mapping[st
 
 
 def _varied_rig(rig: Rig, change: MachineChange) -> Rig:
-    """A rig after a change of what its file says."""
     known = {name: float(value) for name, value in rig.parameters().items()}
     powers = _powers(rig)
     values = {name: _changed(name, number, change, powers) for name, number in known.items()}

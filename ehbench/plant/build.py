@@ -305,7 +305,6 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
-    """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
     packed: list[tuple[FlowMap, float]] = []
     for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):

@@ -458,8 +458,6 @@ def best_shifts(model: Model, start: InitialState, channels: Sequence[str]) -> n
 
 
 class _Follow:
-    """A recording followed from a start that may be shifted."""
-
     def __init__(self, model: Model, start: InitialState, channels: Sequence[str]) -> None:
         self.model, self.start, self.channels = model, start, channels
         self.recorded = _channel_table(start.record, channels, start.record)

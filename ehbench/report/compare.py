@@ -200,5 +200,4 @@ def answer(result: Comparison, first: Path) -> Answer:
 
 
 def _abbreviated(text: str) -> str:
-    """A digest by its first letters."""
     return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or DASH

@@ -84,7 +84,6 @@ class TracedRun:
         return sources
 
     def _noted(self, key: str) -> list[Path]:
-        """The paths under a key of ``volatile.json``."""
         value = self._volatile.get(key)
         values = value if isinstance(value, list) else [value]
         return [Path(text) for text in values if isinstance(text, str)]

@@ -462,7 +462,6 @@ def salvage(left: Path) -> list[Message]:
 
 
 def _unused(place: Path) -> Path:
-    """A folder name that is not taken."""
     tries = (place if n == 1 else place.with_name(f"{place.name}_{n}") for n in itertools.count(1))
     return next(item for item in tries if not item.exists())
 

@@ -165,7 +165,6 @@ def _put(here: Any, words: Sequence[str], raw: Any, text: str, table: Mapping[st
 
 
 def _names(items: Sequence[Any]) -> list[str]:
-    """The entries of a list by their names, or numbers."""
     return [
         str(item.get("name", at)) if isinstance(item, Mapping) else str(at)
         for at, item in enumerate(items)

@@ -325,7 +325,6 @@ class Sampler:
 
 
 def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) -> float:
-    """A measure of results, the first of ``roots`` that has it."""
     words = (item.result or "").split(".")
     root = next((root for root in roots if lookup(root, words) is not None), {})
     numbers = {} if item.inside is None else {item.inside: _si(settings[item.inside], item.inside)}
@@ -337,7 +336,6 @@ def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) 
 
 
 def _si(value: Any, key: str) -> float:
-    """A number that a sample sets, in SI."""
     from ehbench.config.rig import parameter_row
     from ehbench.vocabulary.units import parse
 
@@ -405,7 +403,6 @@ def upstream_recipes(path: Path) -> dict[str, Path]:
 
 
 def _texts(value: Any) -> list[str]:
-    """All texts in a table."""
     if isinstance(value, str):
         return [value]
     if not isinstance(value, Mapping | list):

@@ -31,8 +31,6 @@ class PreparedTuning(Prepared, Generic[R]):
 
 
 class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
-    """What both tunings share."""
-
     command = "tune"
     writes = "tuning.json, rig.toml, figures"
 
@@ -66,7 +64,6 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
     def _written(
         self, prepared: PreparedTuning[R], folder: Path, tuning: Tuning | ArcTuning
     ) -> Work:
-        """Write the results."""
         state = prepared.state
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "tuning.json", tuning.as_json())

@@ -145,7 +145,6 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
 
 
 def _limits(recipe: ValidateRecipe, rig: Rig) -> list[str]:
-    """What a model must reach, in words."""
     limits = recipe.thresholds
     texts: list[str] = [
         message("stages.limit_fit", name=name, minimum=minimum)

@@ -13,7 +13,6 @@ from ehbench.vocabulary import InputError, message
 
 
 def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray:
-    """One entry's command [V] at times ``t`` [s]."""
     offset, amplitude, start = float(command.offset), float(command.amplitude), float(command.start)
     stop = math.inf if command.stop is None else float(command.stop)
     slack = 1e-9  # a sample that falls on the switching time belongs to what comes after

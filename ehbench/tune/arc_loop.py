@@ -282,7 +282,6 @@ class SampledPlant:
 
 
 def _words(model: Model) -> list[str]:
-    """What each channel of a sample measures."""
     return [name.rsplit(".", 1)[-1] for name in sample_channels(model.layout.cylinders)]
 
 

@@ -93,7 +93,6 @@ def tune_pressure_feedback(
 
 
 def _setup(study: Study[TuneRecipe], law: Law) -> dict[str, Any]:
-    """What was tuned, with the law's numbers."""
     return {
         "rig": study.rig.name,
         "supply": study.rig.supply.facts(),

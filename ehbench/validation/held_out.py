@@ -168,7 +168,6 @@ def _same_blocks(
 
 
 def _rms(y: np.ndarray) -> np.ndarray:
-    """Of each channel, the root of its mean square."""
     return np.sqrt(np.mean(y**2, axis=0))
 
 

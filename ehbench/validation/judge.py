@@ -288,7 +288,6 @@ def models_of(
 
 
 def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
-    """Why the model is rejected."""
     for log in results:
         if log.failure:
             yield message("validation.not_simulated", log=log.name, reason=log.failure)
@@ -394,7 +393,6 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
 
 
 def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
-    """Why a log does not count, if it does not."""
     spans = [f"{item.start:g} … {item.stop:g} s (of {item.log})" for item in log.overlap]
     if spans:
         yield message("validation.samples_fitted", spans=", ".join(spans))

@@ -35,7 +35,6 @@ def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
 
 
 def _dialect(source: Source) -> list[str]:
-    """The keys of a text file."""
     result = source.dialect
     if result.separator is None:
         return []

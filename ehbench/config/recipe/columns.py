@@ -136,7 +136,6 @@ def _through(
 
 
 def _column(raw: Any) -> Any:
-    """``boom.p_head [bar]`` as a table."""
     if not isinstance(raw, str):
         return raw
     channel, bracket, unit = raw.partition("[")

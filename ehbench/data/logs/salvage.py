@@ -179,7 +179,6 @@ class Salvage:
         return nxt
 
     def _lose(self, first: int, last: int, why: str) -> None:
-        """Note bytes that are lost."""
         size = len(self.data)
         self.damage.append(message("data.bytes_lost", first=first, last=last, size=size, why=why))
 

@@ -158,7 +158,6 @@ def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:
 
 
 def _stamp(cell: str, slashed: str) -> _Stamp | None:
-    """A text as a time."""
     for order, pattern in _FORMS:
         if (match := pattern.fullmatch(cell)) is None:
             continue

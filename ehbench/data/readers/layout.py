@@ -403,7 +403,6 @@ def sections_of(
 
 
 def _is_of_words(line: str, marks: tuple[str, str]) -> bool:
-    """Whether the cells of a line are words, not all alike."""
     cells = {cell for cell in split(line, marks[0]) if cell}
     return len(cells) > 1 and all(_kind(cell, marks[1]) == "words" for cell in cells)
 

@@ -101,5 +101,4 @@ def _add_struct(gathered: Gathered, place: str, name: str, content: Mapping[str,
 
 
 def _is_vector(item: Any) -> bool:
-    """Whether a field holds several numbers."""
     return isinstance(item, np.ndarray) and item.dtype.kind in "fiub" and item.size > 1

@@ -261,7 +261,6 @@ class Hypothesis:
         return message("faults.free", **fields)
 
     def _fields(self, rig: Rig, delta: float) -> dict[str, Any]:
-        """What its messages name."""
         number = next((n for n in self.numbers if n.unit != 0.0), None)
         channel, word, unit = self.readings[0] if self.readings else ("", "", 0.0)
         fields = {

@@ -65,18 +65,15 @@ class _Flow:
 
 
 def _given(ledger: Ledger) -> float:
-    """What the supply gave [J]."""
     return sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
 
 
 def _works(ledger: Ledger) -> dict[str, float]:
-    """The work of every cylinder [J]."""
     rows = (row for row in ledger["rows"] if row["name"] == f"{row['cylinder']}.work")
     return {row["cylinder"]: row["energy"] for row in rows}
 
 
 def _through(ledger: Ledger) -> float:
-    """The energy that went through a trial [J]."""
     return max(_given(ledger), sum(map(abs, _works(ledger).values())), 1e-12)
 
 
