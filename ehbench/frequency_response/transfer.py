@@ -6,7 +6,7 @@ at rest, their input goes straight from sample to sample."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,10 +65,6 @@ class Transfer:
         """How many numbers it has in addition to the gain."""
         poles, pair, late = FORMS[self.form]
         return poles + 2 * pair + late
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
 
 
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]

@@ -1,7 +1,6 @@
 """What a motion must cost on a constant-pressure supply, and what it did cost."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -84,10 +83,6 @@ class Bounds:
     saving: float | None
     against: str = ""
     beyond: tuple[Beyond, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values for a JSON file."""
-        return asdict(self)
 
 
 def travels(x: np.ndarray, apart: float) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -109,7 +109,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         }
         if recipe.transfer:
             forms = transfers(prepared.signals.pairs, prepared.signals.rate)
-            table["transfers"] = [form.as_json() for form in forms]
+            table["transfers"] = [asdict(form) for form in forms]
         rundir.write_json(folder / "response.json", table)
         write_text(folder / "response.csv", result.table(unit))
         write_rig(folder, prepared.state.rig, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -74,7 +74,7 @@ def account(prepared: Prepared, result: Result, intervals: bool = True) -> Accou
         }
         facts = facts.with_energy(energies)
         with suppress(InsufficientData):  # it did not move, or its supply has not one pressure
-            limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
+            limits = [asdict(bounds(prepared.rig, record, facts.cylinder, ledger))]
     return Account(facts, ledger.as_json() | {"bounds": limits})
 
 
