@@ -17,7 +17,7 @@ from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.diagnosis.recordings import Follows, disagreements, followed, misread
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
-from ehbench.vocabulary import EhbenchError
+from ehbench.vocabulary import EhbenchError, grouped
 
 __all__ = [
     "DOMINANT",
@@ -94,9 +94,7 @@ def ask(cases: Sequence[Case]) -> Structure:
         Finding("pins", about, sentence, fault, 1.0, size)
         for about, sentence, fault, size in disagreements([case for case, _ in known])
     ]
-    groups: dict[tuple[str, ...], list[tuple[Case, np.ndarray]]] = {}
-    for case, left in known:
-        groups.setdefault(case.cylinders, []).append((case, left))
+    groups = grouped(known, lambda pair: pair[0].cylinders)
     requested = [_Search(group).findings()[:MOST] for group in groups.values()]
     unique: dict[tuple[str, str], Finding] = {}
     for row in zip_longest(*requested):  # the first of each cylinder before the second of any

@@ -16,5 +16,5 @@ from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
 from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
-from ehbench.vocabulary.text import listed, shortened
+from ehbench.vocabulary.text import grouped, listed, shortened
 from ehbench.vocabulary.units import from_si, to_si

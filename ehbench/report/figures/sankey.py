@@ -9,8 +9,8 @@ from typing import Any, Self
 import numpy as np
 
 from ehbench.report.figures.energy import Ledger, energy_text, half_of, unit_for
-from ehbench.report.saved import grouped
 from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, spread, swatch
+from ehbench.vocabulary import grouped
 from ehbench.vocabulary.terms import MECHANICAL
 
 # colour and name of each group of rows
