@@ -208,11 +208,6 @@ class BlockAverages:
         return cls(replace(record, t=block_averages(record.t, each), channels=channels), each)
 
 
-def payloads_text(changes: Iterable[tuple[float, str]]) -> str:
-    """What a log's ``meta["payload_change"]`` says: times [s] and the payload from then on."""
-    return json.dumps([list(change) for change in changes])
-
-
 def payloads_of(record: Record) -> list[tuple[float, str | None]]:
     """(time [s], payload from then on, None for none) that a log says were carried, the first from
     its first sample on.

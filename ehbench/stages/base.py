@@ -54,17 +54,11 @@ class Outcome:
         """Parameters by name [SI]: value, standard error, 95 % interval, unit, status."""
         import pandas as pd
 
-        rows = {
-            row["name"]: {
-                "value": row["value"],
-                "std": row["std"],
-                "low": row["interval"] and row["interval"][0],
-                "high": row["interval"] and row["interval"][1],
-                "unit": row["unit"],
-                "status": row["status"],
-            }
-            for row in self.json("parameters")["parameters"]
-        }
+        rows = {}
+        for row in self.json("parameters")["parameters"]:
+            low, high = row["interval"] or (None, None)
+            ends = {"value": row["value"], "std": row["std"], "low": low, "high": high}
+            rows[row["name"]] = ends | {"unit": row["unit"], "status": row["status"]}
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def json(self, name: str) -> Any:

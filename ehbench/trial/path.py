@@ -198,11 +198,6 @@ class Mover:
         )
 
 
-def along_path(recipe: TrialRecipe) -> bool:
-    """Whether a trial's motion is a path of the tip."""
-    return recipe.motion is not None and recipe.motion.kind == "path"
-
-
 def route(recipe: TrialRecipe, model: Model) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     """(where its cylinders start [m], their tables of x, v, a, j), by cylinder, along a recipe's
     path, of the design ``model``.

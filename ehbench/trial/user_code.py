@@ -105,11 +105,6 @@ class Guard:
             raise Overdue
 
 
-def is_users(error: BaseException) -> bool:
-    """Whether an error is the doing of who runs the program, and not the code's own."""
-    return isinstance(error, (Terminated, KeyboardInterrupt))
-
-
 class UserCode:
     """A controller of the user's own, ready to run over the rows of ``references``.
 
@@ -359,7 +354,8 @@ class _Code:
         try:
             return self.guard(function, *given)
         except BaseException as error:
-            if isinstance(error, passing) or is_users(error):
+            # what who runs the program does is not the code's own
+            if isinstance(error, (*passing, Terminated, KeyboardInterrupt)):
                 raise
             raise self.raised(what, error, t) from error
 
