@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ehbench.plant.model import simulate as simulate
     from ehbench.trial import Facts
     from ehbench.trial.stepping import Controller as Controller
-    from ehbench.vocabulary.progress import Progress
+    from ehbench.vocabulary import Progress
     from ehbench.workflow import Outcome, Session
 
 __all__ = [

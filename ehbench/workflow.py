@@ -26,10 +26,8 @@ from ehbench.stages.campaign import write_report as report
 from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary import EhbenchError, InputError, message, quantity
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
     from ehbench.guidance.suggestions import Suggestions

@@ -25,9 +25,8 @@ from typer.core import TyperGroup
 from ehbench.runtime.cores import cores
 from ehbench.runtime.disk import write_text
 from ehbench.runtime.interrupts import Terminated, ended, listen
+from ehbench.vocabulary import EhbenchError, InputError, message
 from ehbench.vocabulary.commands import COMMANDS, Command
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened_path
 
 if TYPE_CHECKING:

@@ -10,9 +10,7 @@ import numpy as np
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.runtime.disk import replacing
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary import InputError, message, quantity
 from ehbench.vocabulary.text import unlike
 
 

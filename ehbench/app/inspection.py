@@ -19,12 +19,10 @@ from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
 from ehbench.stages.validation import in_rig_unit
+from ehbench.vocabulary import from_si, message, plural, quantity
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
-from ehbench.vocabulary.messages import message, ranked
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.messages import ranked
 from ehbench.vocabulary.text import shortened_path
-from ehbench.vocabulary.units import from_si
 from ehbench.workflow import ROOT
 
 
@@ -205,7 +203,6 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
 
 
 def _map(path: Path) -> Inspection:
-    """A map of columns: what it says of each."""
     columns = load_columns(path).columns
     lines = [f"map of {plural(len(columns.names), 'column')}"]
     for name, column in columns.names.items():

@@ -23,9 +23,8 @@ from ehbench.report.terminal import Answer
 from ehbench.runtime.realtime import punctual
 from ehbench.stages.trial import TrialStage
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
 
 SERVING = 50  # priority: below that of a host in the same computer
 

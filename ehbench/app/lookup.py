@@ -5,9 +5,8 @@ from dataclasses import asdict
 from ehbench.report.blocks import Grid
 from ehbench.report.terminal import Answer
 from ehbench.report.words import pretty
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, meant
+from ehbench.vocabulary import VOCABULARY, InputError, message
+from ehbench.vocabulary.quantities import meant
 
 
 def look_up(text: str = "") -> Answer:

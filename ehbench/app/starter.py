@@ -4,9 +4,9 @@ from pathlib import Path
 
 from ehbench.runs import rundir
 from ehbench.runtime.disk import filling, impossible
-from ehbench.vocabulary.errors import InputError, nearest
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened, shortened_path
+from ehbench.vocabulary import InputError, message, shortened
+from ehbench.vocabulary.errors import nearest
+from ehbench.vocabulary.text import shortened_path
 
 
 def find_campaign(name: str) -> Path:

@@ -6,8 +6,6 @@ chamber follows a low pressure; the other tracks the motion by backstepping (str
 flow) with projected adaptation of inverse inertia, payload, disturbance and bulk modulus. Where one
 spool opens both chambers, the same law drives its one opening."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -67,6 +65,7 @@ from ehbench.parts.sample import OF, entry
 from ehbench.parts.supply import beside_change
 from ehbench.physics.arm import work_size
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import (
     AGAINST,
     DISTURBANCE,
@@ -80,7 +79,6 @@ from ehbench.vocabulary.codes import (
     SATURATED,
     WEIGHED,
 )
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,8 @@ from ehbench.control.pressure_feedback import DEFAULTS
 from ehbench.control.records import blank, numbers, reals
 from ehbench.parts.cylinder import joint_of
 from ehbench.runtime.compiled import record
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
 from ehbench.vocabulary.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
 
 GAIN_NAMES = (
     "tick",

@@ -1,7 +1,5 @@
 """One cylinder of the design model and what it moves, as model-based controllers take it."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -21,9 +19,8 @@ from ehbench.physics.arm import (
     work_size,
 )
 from ehbench.runtime.compiled import kernel, table
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.codes import FUNCTIONS, HOLD
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
 
 # what must be known of the cylinder
 NEEDED = (

@@ -5,8 +5,6 @@ About joint j, ``D_jj q̈_j + Σ_{k≠j} D_jk q̈_k + h_j(q, q̇) + c_j(q) + b_j
 between the first and the last term is a torque that the others make, of the rig and of 1 kg at the
 tip. So a law that knows both as gravity forces (`ehbench.control.axis.Load`) takes them as such."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

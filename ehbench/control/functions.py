@@ -7,8 +7,6 @@ the rod end (both have the sign of the speed: Q1 = A1 v, Q2 = A2 v at steady spe
 over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the motion through the path
 ``METERING``; the other, the off-side, is held at a set pressure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +21,7 @@ from ehbench.parts.edge.preload import preload
 from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, offered
 from ehbench.physics.flow_map import ValveMaps
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import InputError, message, setting
 from ehbench.vocabulary.codes import (
     EXTEND_RESISTIVE_FED_AT_ROD,
     EXTEND_RESISTIVE_REGENERATION,
@@ -33,9 +32,6 @@ from ehbench.vocabulary.codes import (
     STALLED,
     UNABLE,
 )
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
 
 PATHS = (
     *("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head"),

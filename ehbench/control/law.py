@@ -1,7 +1,5 @@
 """What a built-in controller is: its gains, step and telemetry, and what it is designed for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,8 +10,7 @@ import numpy as np
 from ehbench.control.axis import Axis
 from ehbench.control.functions import default_pressure
 from ehbench.control.monitor import Monitor
-from ehbench.vocabulary.messages import Message
-from ehbench.vocabulary.quantities import Quantity
+from ehbench.vocabulary import Message, Quantity
 
 
 @dataclass(frozen=True)

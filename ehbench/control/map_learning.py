@@ -4,8 +4,6 @@ each edge, within bounds; derivation in docs/explanation/arc.md.
 A map says ``Q(Δp, u)``; the valve is taken to pass ``gain·Q(Δp, u − shift)``. Both chambers show
 what really passed, by their pressure and the piston's speed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,8 +21,8 @@ from ehbench.control.functions import (
 from ehbench.control.measured import Pressures
 from ehbench.control.records import constants
 from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import AGAINST, FAINT, REVERSED, SATURATED
-from ehbench.vocabulary.settings import setting
 
 GAIN, SHIFT = 0, 1
 # columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind

@@ -1,7 +1,5 @@
 """What controllers take from a machine's sample, and what they write of themselves."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry

@@ -9,8 +9,6 @@ up (Page 1954). A score beyond h is a fault: one of noise that has the deviation
 correlation time gets there more rarely than once in ``e^(h/2)`` correlation times, for the moments
 of its growth are finite up to ``E[e^(score/2)]``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -28,8 +26,8 @@ from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import OF, entry
 from ehbench.parts.supply import rail_pressure
 from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import HOLD
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,12 @@ A flow that the motion does not take presses the oil: ``β0 (u − u_v) = θ4 dP
 bulk modulus over the true one. Late or wrong flows look like other oil, so all are estimated
 together."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 from ehbench.control.records import constants
 from ehbench.runtime.compiled import kernel, record
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 # the estimates: θ4 − 1, lateness [s], missing shares of the flow, extending and retracting
 SOFTER, LATER, MORE, BACK = range(4)

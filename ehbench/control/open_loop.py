@@ -1,7 +1,5 @@
 """The desired speed alone: pressure feedback without any feedback."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

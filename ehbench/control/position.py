@@ -4,8 +4,6 @@
 through the working functions and inverse valve maps, and if it is given a gain the damping, of
 pressure feedback. It reads the cylinder's stroke and what pressure feedback reads."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,11 +20,8 @@ from ehbench.control.records import blank, constants, numbers, reals
 from ehbench.control.trajectory import reference_of
 from ehbench.parts.sample import OF, entry
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
 from ehbench.vocabulary.codes import HOLD, SATURATED
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

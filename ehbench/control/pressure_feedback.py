@@ -5,8 +5,6 @@ the open loop.
 two of them, or 1; the other chamber is held at a set pressure. It reads the cylinder's two
 pressures, the supply's and the tank's, and nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,11 +36,8 @@ from ehbench.control.trajectory import (
 from ehbench.control.valve_level import Flows, allocate, shut
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

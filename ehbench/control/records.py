@@ -1,7 +1,5 @@
 """Records of a controller's numbers: gains, rules, memory."""
 
-from __future__ import annotations
-
 from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import fields

@@ -2,8 +2,6 @@
 
 To add one: write its file, which ends in ``LAW = Law(…)``, and name it in `LAW_NAMES`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from importlib import import_module

@@ -1,7 +1,5 @@
 """The supply's flow for a desired motion: load by the equations of motion, functions, their oil."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ sums ``e²/2σ² − drift`` over the correlation time, from 0 up, as those of `
 A wrong force is the fault of the pressure that the flows of its chamber contradict the more; a
 stroke and an angle that differ are named by the stroke."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -24,7 +22,7 @@ from ehbench.parts.cylinder import chamber_oil, linkage_of
 from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry
 from ehbench.physics.arm import work_size
 from ehbench.runtime.compiled import kernel
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

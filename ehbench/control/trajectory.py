@@ -3,8 +3,6 @@ the shaping of a step.
 
 A table has one row a tick, columns X, V, A, J [m, m/s, m/s², m/s³]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -14,8 +12,7 @@ import numpy as np
 from ehbench.control.records import blank, reals
 from ehbench.runtime.compiled import kernel, record
 from ehbench.runtime.memory import rows_of
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class Reference(NamedTuple):

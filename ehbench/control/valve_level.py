@@ -4,8 +4,6 @@ measured drops (thesis 3).
 What a valve cannot do is flagged for each edge, never hidden: a sum of the bits of
 `ehbench.vocabulary.codes.LIMITS`."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Logs that two recorders wrote of one run, brought on one time base."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -10,8 +8,7 @@ from pathlib import Path
 from ehbench.config.recipe.columns import ColumnMap
 from ehbench.data.rates import Group, joined
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 _DAY = 86400.0
 _HALF_HOUR = 1800.0

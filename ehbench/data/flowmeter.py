@@ -18,13 +18,9 @@ from ehbench.data.channels import dialect_of, overruled, si_of
 from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
+from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, plural, setting, to_si
 from ehbench.vocabulary.errors import InputError, LogError, UnitError, placed
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import listed
-from ehbench.vocabulary.units import from_si, plausible, to_si
+from ehbench.vocabulary.units import plausible
 
 _PRESSURES = ("upstream_pressure", "downstream_pressure")
 _NUMBERS = ("command", "pressure_drop", *_PRESSURES, "flow", "temperature")
@@ -506,7 +502,6 @@ def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]
 
 
 def _drop_unit(units: Mapping[str, str]) -> str:
-    """The unit in which a file has its drops."""
     display = VOCABULARY["pressure_drop"].display
     return units.get("pressure_drop") or units.get("upstream_pressure", display)
 

@@ -13,12 +13,7 @@ from ehbench.data.readers import SourceColumn
 from ehbench.data.record import Window, resampled
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import missing_rows
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import listed
+from ehbench.vocabulary import LogError, listed, message, plural, quantity, setting
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.signals.series import block_averages
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import label, plural, shown, table
-from ehbench.vocabulary.quantities import like_channel, quantity
-from ehbench.vocabulary.text import listed
+from ehbench.vocabulary import LogError, Message, listed, message, plural, quantity
+from ehbench.vocabulary.notebook import label, shown, table
+from ehbench.vocabulary.quantities import like_channel
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -208,11 +206,6 @@ class BlockAverages:
             if not name.endswith(".command")
         }
         return cls(replace(record, t=block_averages(record.t, each), channels=channels), each)
-
-
-def payloads_text(changes: Iterable[tuple[float, str]]) -> str:
-    """What a log's ``meta["payload_change"]`` says: times [s] and the payload from then on."""
-    return json.dumps([list(change) for change in changes])
 
 
 def payloads_of(record: Record) -> list[tuple[float, str | None]]:

@@ -1,7 +1,5 @@
 """Delimited text: one rule each for encodings, lines, cells, numbers, headers and bad cells."""
 
-from __future__ import annotations
-
 import csv
 import re
 import zlib
@@ -14,8 +12,7 @@ import numpy as np
 
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.runtime.memory import available, refuse_beyond
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import LogError, Message, message
 from ehbench.vocabulary.units import named_unit
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read

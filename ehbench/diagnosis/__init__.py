@@ -4,8 +4,6 @@ log, and what would explain the residuals is named with the line that frees it.
 Residuals are simulated minus recorded, averaged over 5 ms, each channel in units of its noise. A
 fault counts where it explains more than chance does of that many independent numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,12 +14,10 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
-from ehbench.diagnosis.follows import Follows, followed
-from ehbench.diagnosis.pins import disagreements
-from ehbench.diagnosis.recordings import misread
+from ehbench.diagnosis.recordings import Follows, disagreements, followed, misread
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary import EhbenchError, grouped
 
 __all__ = [
     "DOMINANT",
@@ -103,9 +99,7 @@ def ask(cases: Sequence[Case]) -> Structure:
         Finding("pins", about, sentence, fault, 1.0, size)
         for about, sentence, fault, size in disagreements([case for case, _ in known])
     ]
-    groups: dict[tuple[str, ...], list[tuple[Case, np.ndarray]]] = {}
-    for case, left in known:
-        groups.setdefault(case.cylinders, []).append((case, left))
+    groups = grouped(known, lambda pair: pair[0].cylinders)
     requested = [_Search(group).findings()[:MOST] for group in groups.values()]
     unique: dict[tuple[str, str], Finding] = {}
     for row in zip_longest(*requested):  # the first of each cylinder before the second of any

@@ -1,7 +1,5 @@
 """What is asked of: a log with the model that is to follow it, and what the model leaves over."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,24 +1,30 @@
-"""Whether a log's payload and channels are those that its recipe states: it may have been recorded
-with another payload of the rig, or with two channels exchanged."""
+"""What a log says by itself: whether its payload and channels are those that its recipe states,
+whether stroke and angle agree with the pins, and what each channel's residual goes along with."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from ehbench.data.record import Record
 from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.plant.foreign import model_of
-from ehbench.preprocessing.observations import payload_of
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.preprocessing.observations import column, payload_of
+from ehbench.preprocessing.plausibility import off_pins
+from ehbench.signals.series import correlation_band
+from ehbench.vocabulary import EhbenchError, Message, from_si, message, quantity
+from ehbench.vocabulary.quantities import GAUGES
 
 NONE = "none"
 Otherwise = tuple[Case, str, dict[str, str]]  # a log as it may be, its message and fields
 EXCHANGED = 0.8  # share that an exchange must explain, more than where a sign is turned
 ASTRAY = 0.5  # rms residual, share of the spread, from which channels may be exchanged
+_KEYS = {
+    "pins": ("phase", "retracted_length", "l_a", "l_b"),
+    "rack": ("radius", "retracted_angle"),
+}
+STILL = 0.05  # share of the largest speed below which no direction is told
 
 
 def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
@@ -106,3 +112,74 @@ def _exchanged(case: Case) -> Iterator[Otherwise]:
     for key, given in changes:
         other = replace(case, record=replace(record, channels=record.channels | given))
         yield other, key, dict(zip(("first", "second"), given, strict=False))
+
+
+def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]]:
+    """(cylinder, sentence, remedy, error [m]) of each that disagrees, the worst log of each."""
+    worst: dict[str, tuple[float, Case]] = {}
+    for case in cases:
+        for name, apart in off_pins(case.record, case.model).items():
+            if name not in worst or abs(apart) > abs(worst[name][0]):
+                worst[name] = (apart, case)
+    for name, (off, case) in worst.items():
+        rig = case.model.rig
+        unit = rig.unit_of("x")
+        shown = f"{from_si(abs(off), unit, quantity('x')):.3g} {unit}"
+        by = rig.cylinder_named(name).linkage_word
+        yield (
+            name,
+            f"{name}.x and {name}.q of {case.name} disagree with the {by} by {shown}",
+            f"check the {by} of {name} ({', '.join(_KEYS[by])}) and the offset and sign "
+            f"of {name}.x and {name}.q",
+            off,
+        )
+
+
+@dataclass(frozen=True)
+class Follows:
+    """A channel of a log whose residual goes along with ``what`` more than chance lets it: their
+    ``correlation``, and the half-width ``band`` within which it stays by chance in 95 %.
+    """
+
+    log: str
+    channel: str
+    what: str
+    correlation: float
+    band: float
+
+
+def followed(case: Case, simulated: Record) -> Iterator[Follows]:
+    """What the residuals of a case follow, channel by channel."""
+    for channel in case.channels:
+        values = column(simulated, channel, case.record)
+        assert values is not None
+        error = case.blocks(values) - case.recorded[channel]
+        for what, cause in _causes(case, channel.rpartition(".")[0]).items():
+            if 0.0 in (np.ptp(cause), np.ptp(error)):
+                continue
+            result = float(np.corrcoef(error, cause)[0, 1])
+            band = correlation_band(error, cause)
+            if abs(result) > band:
+                yield Follows(case.name, channel, what, result, band)
+
+
+def _causes(case: Case, cylinder: str) -> dict[str, np.ndarray]:
+    """What an error may follow, in blocks."""
+    record = case.record
+    results = {
+        f"command of {name.removesuffix('.command')}": case.blocks(record[name])
+        for name in record.channels
+        if name.startswith(f"{cylinder}.") and name.endswith(".command")
+    }
+    for word in ("v", "qd"):
+        speed = column(record, f"{cylinder}.{word}", record)
+        if speed is not None:
+            slow = case.blocks(speed)
+            moving = np.abs(slow) > STILL * float(np.max(np.abs(slow)))
+            results |= {"speed": slow, "direction": np.where(moving, np.sign(slow), 0.0)}
+            break
+    for what, words in (("position", ("x", "q")), ("pressure", ("p_head", "p_rod", *GAUGES))):
+        name = next((f"{cylinder}.{w}" for w in words if f"{cylinder}.{w}" in record), None)
+        if name is not None:
+            results[what] = case.blocks(record[name])
+    return results | {"time": case.blocks(record.t)}

@@ -3,8 +3,6 @@
 A format is a row of `FORMATS`: a function that writes an `Export` into a folder and says what it
 wrote. Its name is one of `ehbench.config.recipe.export.Format`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 

@@ -5,14 +5,11 @@ notice. Values become local variables, blocks become labels; memory is read and 
 ``memcpy``, so that no rule on aliasing or alignment is broken; whole numbers are unsigned, so that
 none overflows."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Iterator
 
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 C_TYPES = {"double": "double", "ptr": "char *", "i1": "_Bool", "void": "void"}
 C_TYPES |= {f"i{bits}": f"uint{max(8, 1 << (bits - 1).bit_length())}_t" for bits in range(2, 65)}
@@ -291,7 +288,6 @@ class Function:
         return f"(int{kind[1:]}_t){self.value(kind, text)}"
 
     def _pointer(self, text: str) -> str:
-        """The address that ``getelementptr`` computes."""
         kind, base, first, *others = split(text)
         address, step = self.value(*typed(base)), size_of(kind)
         terms = [(step, typed(first))]
@@ -324,7 +320,6 @@ class Function:
         return " ".join([*(f"{v} = {new};" for v, _, new in moves if v != new), goto])
 
     def _line(self, line: str, block: str) -> list[str]:
-        """The C lines of an instruction."""
         match = re.match(rf"%({_NAME}) = (.*)$", line)
         result, text = (self.locals.of(match[1]), match[2]) if match else ("", line)
         text = re.sub(r"^(?:tail|musttail|notail) ", "", text)

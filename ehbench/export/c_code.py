@@ -1,7 +1,5 @@
 """The format C: a folder for each part, and the check of each on this machine."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,8 +7,8 @@ from tempfile import TemporaryDirectory
 from ehbench.export.compiler import build, compiler
 from ehbench.export.content import Export, Written
 from ehbench.export.source import write_sources
+from ehbench.vocabulary import message
 from ehbench.vocabulary.errors import ModelRejected
-from ehbench.vocabulary.messages import message
 
 
 def write_c(export: Export, folder: Path) -> list[Written]:

@@ -1,7 +1,5 @@
 """C compilers: the machine's own, or that of the extra ``[export]``, which knows other targets."""
 
-from __future__ import annotations
-
 import platform
 import shutil
 import subprocess
@@ -11,8 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 

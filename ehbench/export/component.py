@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ehbench.config.rig.names import ascii_words
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary import VOCABULARY
 
 WORD = 8  # bytes of a number
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ehbench.config.recipe import ExportRecipe
 from ehbench.config.rig import Rig
 from ehbench.export.component import distinct
+from ehbench.vocabulary import Z95
 from ehbench.vocabulary.errors import one_line
-from ehbench.vocabulary.terms import Z95
 
 if TYPE_CHECKING:
     from ehbench.export.component import Component

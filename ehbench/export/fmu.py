@@ -1,8 +1,6 @@
 """Functional mock-up units for co-simulation: the C of a part with its source, a description of its
 variables, and a binary for each target that a compiler is there for."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from importlib import metadata
@@ -19,7 +17,7 @@ from ehbench.export.content import Export, Written
 from ehbench.export.kernels import Kernels
 from ehbench.export.source import template, write_sources
 from ehbench.runtime.disk import replacing, write_text
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 from ehbench.vocabulary.units import exponents
 
 SOURCES = ("fmi.c", "{name}.c")

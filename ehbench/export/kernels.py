@@ -2,8 +2,6 @@
 is the same on every machine, translated, and cached beside the kernels' machine code.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -22,8 +20,7 @@ from ehbench.export import c99
 from ehbench.export.component import Component
 from ehbench.runtime.compiled import FOLDER, WITHIN, Kernel
 from ehbench.runtime.disk import write_text
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import EhbenchError, message
 
 # no vectors, and nothing that only this machine's processor has
 PLAIN = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}

@@ -11,7 +11,7 @@ from ehbench.config.recipe import AnyTuning, TuneRecipe
 from ehbench.config.rig import Rig
 from ehbench.plant.build import Maps
 from ehbench.tune.study import prepare_tuning
-from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary import InsufficientData
 
 if TYPE_CHECKING:
     import control

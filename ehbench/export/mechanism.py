@@ -3,8 +3,6 @@
 A link's frame is its joint's frame turned with it: z along the axis (standard Denavit–Hartenberg:
 ``Rot_z(theta + q) Trans_z(d) Trans_x(a) Rot_x(alpha)``). z of the world points up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What of a trial can be exported: its model, its controllers, and the inverse maps of valves."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -19,10 +17,9 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.trial import Prepared, Session
 from ehbench.trial.controllers import Compiled, Design
-from ehbench.vocabulary.errors import InputError, one_line
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import STROKES, VOCABULARY
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import VOCABULARY, InputError, message, setting
+from ehbench.vocabulary.errors import one_line
+from ehbench.vocabulary.quantities import STROKES
 
 
 @dataclass(frozen=True)
@@ -211,7 +208,6 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
 
 
 def _gains(law: Compiled) -> Iterator[Variable]:
-    """The gains and rules of a controller."""
     rows = {**law.law.gains, **{name: VOCABULARY[name] for name in RULE_NAMES}}
     gains = law.controller.gains
     values = np.frombuffer(gains.tobytes(), float).tolist()

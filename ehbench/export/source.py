@@ -1,8 +1,6 @@
 """A part as C99: a header that names its variables, a source file without allocation or input and
 output, and a check against a trial."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -5,8 +5,6 @@ penalty on its curvature in either direction. Residuals beyond the noise widen e
 most where they are. A cell that repeats support, and that no map smooth enough for the others
 passes near, stands alone: the map goes by the others, and only the intervals about it grow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
@@ -48,10 +46,7 @@ from ehbench.flow_maps.shape import (
     start_deadband,
     window_of,
 )
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, InsufficientData, message, setting
 
 
 @dataclass(frozen=True)

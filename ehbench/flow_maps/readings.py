@@ -17,11 +17,7 @@ import numpy as np
 from ehbench.data.flowmeter import FlowmeterData
 from ehbench.flow_maps.spline import Axis, OneColumn
 from ehbench.physics.flow_map import root_drop
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, InsufficientData, from_si, message, setting
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """Flow maps from readings: the map with its standard errors and intervals, outliers, calibration,
 and the notes that people read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
@@ -17,9 +15,7 @@ from ehbench.flow_maps.shape import regression
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Spline
 from ehbench.physics.flow_map import FlowMap, root_drop
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, Message, message, setting
 
 
 @dataclass(frozen=True)
@@ -235,7 +231,6 @@ def fit_flow_map(
 def _map_of(
     result: Fit, scatter: float, valve: str, direction: str, outliers: Sequence[Outlier]
 ) -> FlowMap:
-    """The map with its standard errors."""
     r, leak, deadband = result.readings, result.leak, result.deadband
     spline = result.solution.spline
     knots = _digits(deadband.value + spline.along_u.breaks * (spline.top - deadband.value), 10)
@@ -437,7 +432,6 @@ def _chord(
 
 
 def _outliers(result: Fit) -> tuple[Outlier, ...]:
-    """The readings that are not kept, by line."""
     r, out = result.readings, np.flatnonzero(~result.keep)
     return tuple(
         Outlier(

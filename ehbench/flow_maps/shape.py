@@ -1,8 +1,6 @@
 """The shape of a flow map: smoothing, bends in the drop, deadband, kinks and fall in the opening,
 each by its likelihood given the cells' means."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -14,9 +12,7 @@ from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import Cells, Readings
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline, full
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, message, setting
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.physics.flow_map import bspline_pieces
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,6 @@ with the pressures, the speed and the areas of the log and of the rig (continuit
 Blocks of a stretch are its readings; a flow map is fitted to them as to those of a cylinder's
 speed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -26,9 +24,7 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import least_changes
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.signals.series import transients
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, message, setting
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Flowmeter readings by metering edge, the maps of all, and what is saved."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -13,12 +11,7 @@ from ehbench.config.rig import Edge, Rig, Valve
 from ehbench.data.flowmeter import FlowmeterData, LeftOut, merge_flowmeter
 from ehbench.flow_maps.readings import FlowMapOptions, Units
 from ehbench.flow_maps.results import FlowMapFit, fit_flow_map
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, Z95, InputError, Message, from_si, message, setting
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,7 @@ from ehbench.data.record import Record
 from ehbench.preprocessing.time_base import SETTINGS as TIME
 from ehbench.preprocessing.time_base import evened
 from ehbench.signals.series import stretches_of
-from ehbench.vocabulary.errors import InputError, InsufficientData
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, InputError, InsufficientData, Message, message, setting
 
 
 @dataclass(frozen=True)
@@ -416,7 +413,6 @@ def _falls_below(
 def _warnings(
     signals: Signals, frequency: np.ndarray, powered: np.ndarray, coherent: np.ndarray
 ) -> list[Message]:
-    """Notes on frequencies without power or coherence."""
     warnings = []
     fields: dict[str, Any] = {"all": powered.size}
     if not powered.all():

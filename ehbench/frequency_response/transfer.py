@@ -4,17 +4,15 @@ with which numbers.
 The output is ``gain · form(input) + offset``, offset and start each log's own. Forms have unit gain
 at rest, their input goes straight from sample to sample."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ehbench.signals.series import correlation_time, fit_percent
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 # by form: the real poles that it has, whether it has a pair of natural frequency and damping ratio,
 # whether it has a delay
@@ -67,10 +65,6 @@ class Transfer:
         """How many numbers it has in addition to the gain."""
         poles, pair, late = FORMS[self.form]
         return poles + 2 * pair + late
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
 
 
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]

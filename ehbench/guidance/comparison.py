@@ -11,8 +11,7 @@ from ehbench.identification.hydraulics import PreparedFit
 from ehbench.identification.simulator import Log
 from ehbench.plant.ties import TIED, position_channel, tied_words
 from ehbench.preprocessing.observations import column, noise_of, position_of
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import Message, message, setting
 
 
 @dataclass(frozen=True)

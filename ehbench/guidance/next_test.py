@@ -24,9 +24,7 @@ from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.plant.foreign import model_of
 from ehbench.plant.model import Start
 from ehbench.preprocessing.observations import column
-from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import EhbenchError, InputError, InsufficientData, Progress, message
 
 # when a waveform drives out and back [s]
 WAVES = {

@@ -15,9 +15,7 @@ from ehbench.identification.estimate import estimate
 from ehbench.identification.hydraulics import PreparedFit, problem_over
 from ehbench.identification.results import FittedParameter, HydraulicsFit
 from ehbench.identification.search import Coordinate
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message
 
 LEVEL_95 = 3.841  # rise of −2 log likelihood at the ends of a 95 % interval
 

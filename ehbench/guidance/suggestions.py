@@ -29,10 +29,8 @@ from ehbench.identification.simulator import Log
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.terminal import Answer
 from ehbench.signals.series import white_noise
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
 
 SECONDS = 120.0  # of trying, by default
 ROUNDS = 5  # changes on top of one another, at most
@@ -203,8 +201,6 @@ class _Fold:
 
 
 class _Trials:
-    """Trials of changes to one fit."""
-
     head = 10.0  # [s] of a log at least that is looked at
     steps = 25  # of a descent
     fine = 0.005  # share of a channel's spread below which an error does not matter
@@ -327,7 +323,6 @@ class _Trials:
 
     @property
     def _spent(self) -> float:
-        """The share of the time that is spent."""
         return (time.process_time() - self.begun) / max(self.until - self.begun, 1e-9)
 
     def _first(self) -> Tried:

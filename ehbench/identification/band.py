@@ -3,8 +3,6 @@
 Both sides go through the one estimator of `ehbench.frequency_response.response`, from the same
 recorded command with the same segments, so that windows and leakage do the same to both."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

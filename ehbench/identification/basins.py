@@ -1,8 +1,6 @@
 """From where parameters start to the basin of the best minimum: a look over their range, and coarse
 solutions from what it met."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +26,7 @@ from ehbench.identification.problem import (
     squares,
     weighed,
 )
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

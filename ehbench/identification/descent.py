@@ -5,8 +5,6 @@ as further columns of one Jacobian: 442 simulations where this takes 203 to 285,
 white noise. Here they are eliminated log by log, their derivatives serve several steps, and all
 simulations that differences are taken of run together on one mesh."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +24,7 @@ from ehbench.identification.problem import (
     weighed,
 )
 from ehbench.identification.simulator import Shifts
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """Output error: the parameters with which the simulation comes nearest to all logs at once, and how
 sure they are."""
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Sequence
@@ -32,9 +30,7 @@ from ehbench.identification.problem import (
 from ehbench.identification.results import HydraulicsFit, read_off
 from ehbench.identification.sensitivity import doubts_of
 from ehbench.identification.uncertainty import errors_of, result_of
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, message, setting
 
 
 @dataclass(frozen=True)

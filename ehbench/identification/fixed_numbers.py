@@ -1,14 +1,12 @@
 """What an interval of a bulk modulus counts on: oil volumes and inertia, which the rig file has."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 WORD = "bulk_modulus"
 MORE = 0.1  # share by which volumes and inertia are thought larger

@@ -1,7 +1,5 @@
 """Logs that are compared by their frequency response in place of their samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +9,8 @@ from ehbench.frequency_response.response import SETTINGS as RESPONSE
 from ehbench.frequency_response.response import Averaging, Curve, Response, estimate
 from ehbench.identification.band import Band, band_signals
 from ehbench.identification.simulator import Log, columns_of
-from ehbench.vocabulary.errors import InputError, InsufficientData
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import Z95, InputError, InsufficientData, message, setting
 from ehbench.vocabulary.quantities import like_channel
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
 
 
 @dataclass(frozen=True)

@@ -5,17 +5,13 @@ A relative change of the parameters by ``d ln p = v`` that changes no channel is
 logs cannot tell. What they do tell are the products ``Π pᵢ^wᵢ`` with ``w`` orthogonal to all such
 ``v``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, Message, message, setting
 
 
 @dataclass(frozen=True)
@@ -129,7 +125,6 @@ def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _power_product(powers: dict[str, float]) -> str:
-    """``mass/area_head^2``."""
     sides: dict[bool, list[str]] = {True: [], False: []}
     for name, power in powers.items():
         sides[power > 0].append(name if abs(power) == 1.0 else f"{name}^{abs(power):g}")

@@ -11,8 +11,6 @@ status word: ``estimated``; ``at_bound``: the data push it beyond its bound; ``n
 data do not tell it, it stays at its start and its interval is unbounded; ``correlated``: the data
 tell it only together with another one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -42,11 +40,9 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import payload_of
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.signals.series import correlation_time
+from ehbench.vocabulary import VOCABULARY, Z95, Progress, message
 from ehbench.vocabulary.errors import InputError, InsufficientData, placed
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import VOCABULARY, meant
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.quantities import meant
 
 __all__ = [
     "FitOptions",

@@ -5,8 +5,6 @@ A search is a chain of steps, each a function of what it starts from and of noth
 journal keeps what each came to under the SHA-256 of its start; a search that is done again skips
 the steps whose starts are the same, and ends with the same bytes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time
@@ -17,7 +15,7 @@ from typing import Any
 
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary import EhbenchError, InputError
 
 EVERY = 0.5  # [s] between writings: what a killed search loses at most
 

@@ -2,8 +2,6 @@
 (thesis 2.3).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +14,7 @@ from ehbench.identification.simulator import Log, Simulator
 from ehbench.preprocessing.observations import SETTINGS as OBSERVATION
 from ehbench.preprocessing.observations import least_change, rings_clearly
 from ehbench.signals.series import Ringing, ringing, ringing_like, rms, transients
-from ehbench.vocabulary.errors import InputError, InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, InsufficientData, Progress, message, setting
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 """How many samples of a log are compared as one mean: of a log much faster than the machine, as
 many as take next to nothing from what it tells."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -14,8 +12,7 @@ from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.plant.paced import CLOSE, pace_of
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import Message, message, setting
 
 Decimate = int | Literal["auto"]
 

@@ -23,8 +23,7 @@ from ehbench.identification.search import Coordinate, of_sensors
 from ehbench.identification.simulator import Log, Meshes, Shifts, Simulator
 from ehbench.preprocessing.initial_states import prior_weight
 from ehbench.signals.series import lowpass, rms
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import Progress, setting
 
 
 @dataclass(frozen=True)

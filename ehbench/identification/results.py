@@ -24,11 +24,10 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import noise_of, read_off, supply_off
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
-from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary import InsufficientData, Message, message, quantity, setting
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import Message, message, of_log
-from ehbench.vocabulary.quantities import GAUGES, quantity
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.messages import of_log
+from ehbench.vocabulary.quantities import GAUGES
 
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 

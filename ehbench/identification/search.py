@@ -1,7 +1,5 @@
 """Parameters as search coordinates: where a search starts, between which bounds, in which units."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -11,11 +9,9 @@ from typing import Any
 from ehbench.config.recipe.sensor import reading_row
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.preprocessing.sensors import Term
-from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import InputError, nearest, placed
+from ehbench.vocabulary import InputError, Quantity, message, placed, units
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import Quantity
 
 LEVEL = 0.95
 # a standard error of more than this many units of a parameter says nothing: 95 % then span a factor

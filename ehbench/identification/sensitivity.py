@@ -7,8 +7,6 @@ their sensitivities and j that of the number (Ljung, System Identification, 2nd 
 logs favour another value, and an estimate would leave its interval for it, the number is freed in a
 further fit before it is reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,10 +36,8 @@ from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.plant.ties import position_channel, tied_words
 from ehbench.preprocessing.sensors import VAGUE, Term
 from ehbench.signals.series import lowpass, white_noise
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import BEYOND, Z95
+from ehbench.vocabulary import Z95, EhbenchError, Message, message, setting
+from ehbench.vocabulary.terms import BEYOND
 
 IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
 

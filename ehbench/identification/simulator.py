@@ -37,10 +37,10 @@ from ehbench.preprocessing.preparation import preprocess
 from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
 from ehbench.signals.series import transients, white_noise
+from ehbench.vocabulary import Message, message, quantity, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
-from ehbench.vocabulary.messages import Message, message, of_log
-from ehbench.vocabulary.quantities import like_channel, quantity
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.messages import of_log
+from ehbench.vocabulary.quantities import like_channel
 
 if TYPE_CHECKING:
     from ehbench.identification.band import Band

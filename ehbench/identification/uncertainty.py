@@ -1,28 +1,18 @@
 """How sure a fit by output error is of its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ehbench.identification import results
 from ehbench.identification.covariance import Block, covariance_of, eliminate
 from ehbench.identification.groups import Group, groups_of, sentence
 from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.identification.problem import Problem, State, effects, linearised, prior_of
-from ehbench.identification.results import (
-    Doubts,
-    Estimate,
-    FittedParameter,
-    HydraulicsFit,
-    SensorFit,
-    finish,
-    not_excited,
-)
 from ehbench.identification.search import VAGUE
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import CORRELATED, Z95
+from ehbench.vocabulary import Z95, message
+from ehbench.vocabulary.terms import CORRELATED
 
 ROUNDING = 1e-9  # share of the reach within which a number is at its bound
 
@@ -120,8 +110,8 @@ def result_of(
     errors: Errors,
     converged: bool,
     iterations: int,
-    doubts: Doubts,
-) -> HydraulicsFit:
+    doubts: results.Doubts,
+) -> results.HydraulicsFit:
     """A fit as it leaves, with what it took as known and the logs deny."""
     fitted = [_fitted(problem, state, errors, i) for i in range(problem.requested)]
     warnings, rig = [*doubts.warnings], problem.simulator.rig
@@ -140,9 +130,9 @@ def result_of(
     warnings += [sentence(groups)] if groups else []
     warnings += together(errors.names, errors.correlation, [set(g.alone) for g in groups])
     shared = range(problem.requested, problem.fitted)
-    return finish(
+    return results.finish(
         problem.simulator,
-        Estimate(
+        results.Estimate(
             method="output_error",
             fitted=fitted,
             warnings=warnings,
@@ -160,11 +150,10 @@ def result_of(
     )
 
 
-def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> FittedParameter:
-    """A parameter with its interval."""
+def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> results.FittedParameter:
     c, error = problem.search[i], errors.by_index.get(i)
     samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in problem.logs)
-    item, value = not_excited(c, samples), c.at(state.theta[i])
+    item, value = results.not_excited(c, samples), c.at(state.theta[i])
     prior = c.prior if c.known else None
     if i in state.ranges:  # the logs deny a part of its range, the rest is one to them
         low, high = state.ranges[i]
@@ -220,7 +209,7 @@ def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[
     return warnings
 
 
-def _sensors(problem: Problem, errors: Errors) -> list[SensorFit]:
+def _sensors(problem: Problem, errors: Errors) -> list[results.SensorFit]:
     """The estimates of the sensors: of all logs, then of each."""
     result, state = [], errors.state
     terms = {term.name: term for log in problem.logs for term in log.start.terms}
@@ -229,12 +218,12 @@ def _sensors(problem: Problem, errors: Errors) -> list[SensorFit]:
         std = terms[c.name].std
         if error is not None:
             std, quantile = c.unit * error.std, error.quantile
-        result.append(SensorFit.of(terms[c.name], "", c.at(state.theta[i]), std, quantile))
+        result.append(results.SensorFit.of(terms[c.name], "", c.at(state.theta[i]), std, quantile))
     for log, shifts, block in zip(problem.logs, state.shifts, errors.blocks, strict=True):
         stds = eliminate(block, state.prior_weight).std(errors.covariance)
         for item, shift, std in zip(log.start.uncertain, shifts, stds, strict=True):
             if item.name in terms:
                 value = item.std * float(shift)
                 error = item.std * float(std)
-                result.append(SensorFit.of(terms[item.name], log.name, value, error, Z95))
+                result.append(results.SensorFit.of(terms[item.name], log.name, value, error, Z95))
     return result

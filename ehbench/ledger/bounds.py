@@ -1,7 +1,6 @@
 """What a motion must cost on a constant-pressure supply, and what it did cost."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,10 +10,8 @@ from ehbench.ledger.sheet import Ledger, function_of
 from ehbench.parts.oil import bulk
 from ehbench.physics.cylinder import linkage
 from ehbench.plant.build import oil_fields, pins_of
+from ehbench.vocabulary import InsufficientData, message, setting
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)
@@ -86,10 +83,6 @@ class Bounds:
     saving: float | None
     against: str = ""
     beyond: tuple[Beyond, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values for a JSON file."""
-        return asdict(self)
 
 
 def travels(x: np.ndarray, apart: float) -> tuple[float, float]:

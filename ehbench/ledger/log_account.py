@@ -21,8 +21,8 @@ from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
+from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import scalars
-from ehbench.vocabulary.messages import message
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_valves
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 

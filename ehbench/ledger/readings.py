@@ -12,8 +12,7 @@ from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.physics.cylinder import DIRECT
 from ehbench.plant.model import Model
 from ehbench.plant.valves import acting_commands
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 CUT_MEAN = 0.7561  # mean of |z|, z standard normal, what exceeds its 90 % quantile cut to it
 ROUNDING = 1.0e-12  # smaller than any reading

@@ -11,10 +11,9 @@ from ehbench.data.record import Record, payloads_of
 from ehbench.ledger.powers import CylinderPowers, CylinderStores
 from ehbench.parts.nodes import SUPPLY
 from ehbench.plant.model import Model
+from ehbench.vocabulary import Z95, InputError, LogError, message
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError, LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import MECHANICAL, Z95
+from ehbench.vocabulary.terms import MECHANICAL
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
@@ -291,7 +290,6 @@ def _rows(model: Model) -> tuple[list[Named], list[Named]]:
 def _of_each(
     model: Model, cylinders: Iterable[int], key: str, group: str, label: str
 ) -> list[Named]:
-    """A row of each of some cylinders."""
     names = [model.layout.cylinders[c] for c in cylinders]
     return [(f"{name}.{key}", group, label, name) for name in names]
 

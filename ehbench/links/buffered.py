@@ -1,8 +1,6 @@
 """Machines that play a whole table of commands by their own clock and then give their log: enough
 for every open-loop test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -24,8 +22,7 @@ from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, violated
 from ehbench.plant.trim import LowSide
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 STOPPED_BY = 3  # where the stamp of a row's checks has the machine's reason
 

@@ -1,7 +1,5 @@
 """Vectors as frames of CAN, by a DBC file: signals ``up_press_x``, ``down_press_servo_command``."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +10,7 @@ import numpy as np
 from ehbench.links.layout import FRAMES
 from ehbench.links.responder import Target
 from ehbench.links.transport import datagram_of
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class Frames:

@@ -1,7 +1,5 @@
 """A target at the other end of a link, behind the protocol of every machine."""
 
-from __future__ import annotations
-
 import math
 import secrets
 import time
@@ -38,9 +36,7 @@ from ehbench.links.transport import (
 from ehbench.machines.protocol import Posture, Stamp, reason_of
 from ehbench.plant.trim import LowSide
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, message, setting
 
 TOKENS = 2**24  # a float32 holds every one
 STATES = dict(enumerate(("idle", "alive", "armed", "running", "stopping", "stopped")))

@@ -2,8 +2,6 @@
 
 Both are tested against a substitute of the vendor's library alone, never on a card."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib import import_module
 

@@ -15,7 +15,8 @@ from ehbench.links.responder import HEADER
 from ehbench.machines.protocol import Inputs
 from ehbench.parts.sample import sample_channels
 from ehbench.plant.model import Model
-from ehbench.vocabulary.quantities import STROKES, VOCABULARY
+from ehbench.vocabulary import VOCABULARY
+from ehbench.vocabulary.quantities import STROKES
 
 Mode = Literal["stream", "setpoint", "buffered"]
 MODES: tuple[Mode, ...] = ("stream", "setpoint", "buffered")

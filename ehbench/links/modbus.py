@@ -1,7 +1,5 @@
 """Vectors as registers of Modbus TCP: written and read in one function 23."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 import time

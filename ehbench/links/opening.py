@@ -18,9 +18,8 @@ from ehbench.links.responder import HEADER
 from ehbench.links.transport import Link, UdpLink
 from ehbench.machines.protocol import Machine
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.fields import FileModel
-from ehbench.vocabulary.messages import message
 
 PORTS = {"udp": 47000, "modbus": 502, "can": 0}
 CARDS = {"nidaq": NiCard, "labjack": LabJackCard}

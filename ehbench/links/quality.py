@@ -1,7 +1,5 @@
 """How well this computer and this link serve a trial, measured before any oil moves."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from contextlib import closing
@@ -12,9 +10,7 @@ import numpy as np
 from ehbench.links.client import LINK, TOKENS
 from ehbench.links.responder import ALIVE, HEADER
 from ehbench.links.transport import ACKNOWLEDGED, SEQUENCE, STATE, TIME, TOKEN, WATCHDOG, Link
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, Message, message, setting
 
 
 @dataclass(frozen=True)

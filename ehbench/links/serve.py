@@ -1,7 +1,5 @@
 """A model or a virtual bench as a target of its own: the reference for what a rig must do."""
 
-from __future__ import annotations
-
 import socket
 import struct
 from collections import deque
@@ -19,7 +17,7 @@ from ehbench.machines.rows import LawRows, control
 from ehbench.parts.sample import OF, entry
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary import SimulationError
 
 LINK_FAULTS = ("link_lost", "link_delayed", "link_reordered")  # those of packets
 
@@ -157,7 +155,6 @@ class ServedTarget(Target):
         return self._sent(datagram)
 
     def _sent(self, datagram: bytes) -> bytes:
-        """What goes out in a tick over a link with faults."""
         if self._fails("link_reordered") is not None:
             if self.sequence % 2:  # it comes behind the next, which is newer
                 self._held, datagram = datagram, self._held

@@ -1,8 +1,6 @@
 """How vectors of float64 reach a target and come back as datagrams, over UDP or on a virtual
 clock."""
 
-from __future__ import annotations
-
 import math
 import socket
 import time

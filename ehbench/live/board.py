@@ -2,11 +2,9 @@
 
 This module loads fast: the view's process needs little else."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 WAITING, RUNNING, STOPPING, ENDED = range(4)  # states of a trial
 STATE, TIME, LATE, LIMIT = range(4)  # where the board has state, time [s], late ticks, limit

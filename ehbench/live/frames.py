@@ -1,40 +1,26 @@
 """What a live view shows of a trial, from the numbers on its board."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ehbench.live.board import (
-    FIRST,
-    HEARD,
-    HELD,
-    LATE,
-    LEVERS,
-    LIMIT,
-    STATE,
-    STOPPING,
-    TIME,
-    VIEW,
-    Facts,
-)
+from ehbench.live import board
 from ehbench.vocabulary.codes import FUNCTIONS
 
 STATES = ("waiting", "running", "stopping", "ended")
 
 
-def frame_of(facts: Facts, numbers: Sequence[float]) -> dict[str, Any]:
+def frame_of(facts: board.Facts, numbers: Sequence[float]) -> dict[str, Any]:
     """What is to be seen now, in the units of the rig's file; None for what is not measured.
 
     Args:
         facts: of the trial.
         numbers: of the board.
     """
-    values = dict(zip(facts.names, numbers[FIRST : facts.first_lever], strict=True))
+    values = dict(zip(facts.names, numbers[board.FIRST : facts.first_lever], strict=True))
     inputs, cylinders = numbers[facts.first_lever :], []
-    levers = dict(zip(facts.levers, inputs[LEVERS:], strict=True))
+    levers = dict(zip(facts.levers, inputs[board.LEVERS :], strict=True))
     for name, stroke in facts.strokes.items():
         row: dict[str, Any] = {"name": name, "stroke": _displayed(facts, "x", stroke)}
         row["lever"] = levers.get(name)
@@ -44,23 +30,24 @@ def frame_of(facts: Facts, numbers: Sequence[float]) -> dict[str, Any]:
         function = values.get(f"{name}.function", math.nan)
         row["function"] = FUNCTIONS[int(function)] if function >= 0.0 else None
         cylinders.append(row)
-    state, silent = int(numbers[STATE]), time.monotonic() - inputs[HEARD] > VIEW.silence
+    state = int(numbers[board.STATE])
+    silent = time.monotonic() - inputs[board.HEARD] > board.VIEW.silence
     return {
         "state": STATES[state],
-        "stop": facts.stops[int(numbers[LIMIT])] if state == STOPPING else "",
-        "held": bool(inputs[HELD]) and not silent if levers else None,
-        "t": numbers[TIME],
-        "late": int(numbers[LATE]),
+        "stop": facts.stops[int(numbers[board.LIMIT])] if state == board.STOPPING else "",
+        "held": bool(inputs[board.HELD]) and not silent if levers else None,
+        "t": numbers[board.TIME],
+        "late": int(numbers[board.LATE]),
         "cylinders": cylinders,
         "margins": list(_margins(facts, values)),
     }
 
 
-def _displayed(facts: Facts, word: str, value: float) -> float | None:
+def _displayed(facts: board.Facts, word: str, value: float) -> float | None:
     return value * facts.units[word][1] if math.isfinite(value) else None
 
 
-def _margins(facts: Facts, values: dict[str, float]) -> Iterator[dict[str, Any]]:
+def _margins(facts: board.Facts, values: dict[str, float]) -> Iterator[dict[str, Any]]:
     """Each limit that the recipe sets: what is nearest to it, how far that is from it, and the
     share of the way there that is ``used``."""
     limits = facts.limits

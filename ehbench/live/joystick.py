@@ -1,14 +1,11 @@
 """Joysticks of Linux as levers, through evdev."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from ehbench.live.board import Facts
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 AXES = ("ABS_X", "ABS_Y", "ABS_RX", "ABS_RY")  # of the levers that name none, in turn
 

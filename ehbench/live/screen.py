@@ -1,7 +1,5 @@
 """A frame of a live view as text for a terminal."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rich.console import Group
@@ -9,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ehbench.live.board import VIEW, Facts
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 
 def screen(facts: Facts, frame: dict[str, Any]) -> Group:

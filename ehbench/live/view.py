@@ -3,8 +3,6 @@
 A trial copies a row of numbers into shared memory: it never waits for the view, and a view that
 ends changes nothing."""
 
-from __future__ import annotations
-
 import json
 import math
 import mmap
@@ -21,35 +19,18 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from ehbench.live.board import (
-    ENDED,
-    FIRST,
-    HEARD,
-    HELD,
-    HOST,
-    LATE,
-    LEVERS,
-    LIMIT,
-    PAGE,
-    RUNNING,
-    STATE,
-    STOPPING,
-    TIME,
-    VIEW,
-    Facts,
-)
+from ehbench.live import board
 from ehbench.live.joystick import stick_of
 from ehbench.machines.rows import LIMITS
 from ehbench.trial.operator import levers_of
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.session import Session
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, from_si
 
 SHOWN = ("x", "v", "p_head", "p_rod", "command", "following_error")  # words with a unit of a view
 
 
-def facts_of(prepared: Prepared) -> Facts:
+def facts_of(prepared: Prepared) -> board.Facts:
     """What there is to know of a prepared trial."""
     rig, recipe, machine = prepared.rig, prepared.recipe, prepared.machine
     units = {}
@@ -62,7 +43,7 @@ def facts_of(prepared: Prepared) -> Facts:
     follows = np.isfinite(checks.desired[0])
     bounds = np.where(follows, checks.following, np.inf).tolist()
     levers, motion = levers_of(prepared), recipe.motion
-    return Facts(
+    return board.Facts(
         recipe.title or recipe.path.stem,
         recipe.on,
         prepared.duration,
@@ -98,15 +79,15 @@ class View:
 
     def __init__(self, prepared: Prepared, announce: Callable[[str], bool]) -> None:
         facts = facts_of(prepared)
-        if facts.levers and facts.device != PAGE:
+        if facts.levers and facts.device != board.PAGE:
             stick_of(facts).close()
-        self._gaps, size = 0.0, 8 * (facts.first_lever + LEVERS + len(facts.levers))
+        self._gaps, size = 0.0, 8 * (facts.first_lever + board.LEVERS + len(facts.levers))
         token = secrets.token_urlsafe(12)
-        with socket.create_server((HOST, 0)) as door, TemporaryFile() as memory:
+        with socket.create_server((board.HOST, 0)) as door, TemporaryFile() as memory:
             memory.truncate(size)
             self.numbers = np.frombuffer(mmap.mmap(memory.fileno(), size))
             self._inputs = self.numbers[facts.first_lever :]
-            self.url = f"http://{HOST}:{door.getsockname()[1]}/{token}/"
+            self.url = f"http://{board.HOST}:{door.getsockname()[1]}/{token}/"
             files = memory.fileno(), door.fileno()
             given = [*files, token, announce(self.url), os.getpid(), asdict(facts)]
             self.process = subprocess.Popen(
@@ -122,26 +103,27 @@ class View:
         """As `Watcher.show`."""
         numbers, rows, machine = self.numbers, session.rows, session.machine
         self._gaps += session.missed
-        numbers[TIME], numbers[LATE] = rows.t[row], self._gaps + getattr(machine, "missed", 0)
-        first, end = FIRST, numbers.size - self._inputs.size
+        numbers[board.TIME] = rows.t[row]
+        numbers[board.LATE] = self._gaps + getattr(machine, "missed", 0)
+        first, end = board.FIRST, numbers.size - self._inputs.size
         for values in (rows.samples[row], rows.commands[row], *session.telemetry(row)):
             last = min(first + values.size, end)  # notes of a class stay away
             numbers[first:last] = values[: last - first]
             first = last
         if session.stop is not None:
-            numbers[LIMIT] = LIMITS.index(session.stop.limit)
-        numbers[STATE] = RUNNING if session.stop is None else STOPPING
+            numbers[board.LIMIT] = LIMITS.index(session.stop.limit)
+        numbers[board.STATE] = board.RUNNING if session.stop is None else board.STOPPING
 
     def read(self) -> list[float] | None:
         """As `OperatorInput.read`."""
         inputs = self._inputs
-        silent = time.monotonic() - inputs[HEARD] > VIEW.silence
-        return None if silent or not inputs[HELD] else inputs[LEVERS:].tolist()
+        silent = time.monotonic() - inputs[board.HEARD] > board.VIEW.silence
+        return None if silent or not inputs[board.HELD] else inputs[board.LEVERS :].tolist()
 
     def close(self) -> None:
         """End the view."""
-        self.numbers[STATE] = ENDED
+        self.numbers[board.STATE] = board.ENDED
         with suppress(subprocess.TimeoutExpired):
-            self.process.wait(VIEW.end)
+            self.process.wait(board.VIEW.end)
         self.process.kill()
         self.process.wait()

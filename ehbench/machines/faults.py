@@ -16,10 +16,8 @@ from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Machine, Posture, Stamp
 from ehbench.parts.sample import OF, entry
 from ehbench.plant.trim import LowSide
-from ehbench.vocabulary.errors import InputError, placed
+from ehbench.vocabulary import VOCABULARY, InputError, message, placed
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
 
 
 @dataclass
@@ -222,7 +220,6 @@ class FaultyMachine:
         return [item for item in self._failures if KINDS[item.fault.kind].place == place]
 
     def _sensed(self, sample: np.ndarray) -> np.ndarray:
-        """What the sensors say of a sample."""
         self._sampled.take(sample)
         t, shown = self._tick / self.rate, sample.copy()
         for failure in self._of("sensor"):

@@ -15,9 +15,8 @@ from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Start
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.fmu import FmuProcess
-from ehbench.vocabulary.errors import FmuError, InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, message, setting
+from ehbench.vocabulary.errors import FmuError
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """A simulated machine that keeps the time of the clock, for people who watch it."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from typing import Any, cast
@@ -9,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from ehbench.machines.protocol import Machine
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from ehbench.machines.rows import Controls, Rows
 from ehbench.parts.edge import edge_flows
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 Posture = Mapping[str, str | float] | None
 Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1

@@ -1,7 +1,5 @@
 """A trial's rows as compiled code sees them, the limits that stop it, one tick of a controller."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple

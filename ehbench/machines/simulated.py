@@ -19,7 +19,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, LATE, SCRATCH, Step, Way, over_tick, pace_of
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.compiled import bound, kernel
-from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary import SimulationError
 
 NAME = "model"
 

@@ -4,8 +4,6 @@
 ``gas_volume`` at ``precharge`` down to ``V_gas = gas_volume (precharge/p)^(1/n)``. Below the
 precharge the accumulator holds no oil."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

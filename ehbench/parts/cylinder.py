@@ -1,7 +1,5 @@
 """A cylinder: how it sits on its joint, its two chambers, its relief valves."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The end stops of a cylinder."""
 
-from __future__ import annotations
-
 import math
 
 from ehbench.runtime.compiled import part_kernel

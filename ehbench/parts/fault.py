@@ -1,8 +1,6 @@
 """A row of the fault table, as data. Files of parts declare ``FAULTS``; `ehbench.diagnosis.faults`
 collects them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Forces from outside on a rod: constant, by direction, spring, cylinder, or played from a log."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

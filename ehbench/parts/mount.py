@@ -9,8 +9,6 @@ and speed that the linkage has, which position channels measure. Oil, friction a
 piston in its barrel instead. As friction hangs on v_piston, the law is solved for it; where that
 falls with speed more steeply than c, the solution is not the only one, and the piston jumps."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator

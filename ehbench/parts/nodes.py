@@ -1,7 +1,5 @@
 """Nodes of the hydraulic circuit: supply, tank, the two chambers of each cylinder, its lines."""
 
-from __future__ import annotations
-
 from ehbench.parts.oil import stored
 from ehbench.parts.supply import from_rail
 from ehbench.runtime.compiled import part_kernel, record

@@ -1,7 +1,5 @@
 """The oil: its stiffness at a pressure, with free air or without, and its energy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

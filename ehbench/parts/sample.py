@@ -3,8 +3,6 @@
 ``q, qd, x, v, p_head, p_rod`` of each cylinder, then ``p_supply, p_tank``. A channel is an entry
 here with its reading; every machine then measures it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Its pressure is constant, or follows the load (load sensing), or there is a second, lower one, from
 which an edge takes where that is enough (two rails)."""
 
-from __future__ import annotations
-
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.accumulator import gas_capacity
 from ehbench.parts.fault import Amount, Fault

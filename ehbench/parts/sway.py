@@ -6,8 +6,6 @@ a long arm that bends, or what hangs on it.
 v is the speed of the rod, w that of the mass, z how far it is ahead, positive where the rod moves
 out; k z + c (w − v) pulls on the rod. Its weight counts as the mechanism's, not here."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -17,8 +17,6 @@ last entry); ``q, qd, qdd, torque`` float64 (n,) [rad…, N·m], for a slide (1,
 float64 (work_size(n),), overwritten. They allocate nothing, check nothing, and give inf or nan
 where the mass matrix is singular."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

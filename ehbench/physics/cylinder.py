@@ -3,14 +3,12 @@
 Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head
 end, ``flow_rod`` out of the rod end (thesis 2.4, 2.5)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from ehbench.runtime.compiled import kernel
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError
 
 PINS, DIRECT, RACK = 0, 1, 2
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from ehbench.runtime.compiled import allocating_kernel, kernel
 from ehbench.runtime.disk import DATA, read_bytes, write_text
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError
 from ehbench.vocabulary.text import quoted
 
 FORMAT, VERSION = "ehbench flow maps", 1
@@ -594,8 +594,7 @@ def table(
     flow_std [..], inside`` (1 or 0); the openings are the measured ones, zero or positive, the 25
     drops run from 0 to the largest measured one. ``driver_command`` is what to send for the
     opening: sign·opening, with ``signs`` (−1 or 1) by valve and direction."""
-    from ehbench.vocabulary.quantities import VOCABULARY
-    from ehbench.vocabulary.units import from_si
+    from ehbench.vocabulary import VOCABULARY, from_si
 
     lines = [
         "valve,direction,opening [V],driver_command [V],"

@@ -6,8 +6,6 @@ tanh(v/v_s) is 0.76 at v_s and 0.96 at 2 v_s, and at rest the law acts as a damp
 [N·s/m]. Choose v_s well below the speeds that matter, and above coulomb·step/(2 mass) so that an
 explicit step of the integrator stays stable."""
 
-from __future__ import annotations
-
 import math
 
 from ehbench.runtime.compiled import kernel

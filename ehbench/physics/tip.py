@@ -4,8 +4,6 @@ The tip is the end of the last link, where a slide's mass is. It is told in a fr
 the ground: x ahead (the base frame's x), y to the left, z up [m]; frames of the links as in
 `ehbench.physics.arm`."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -28,7 +28,7 @@ from ehbench.physics.cylinder import DIRECT, PINS, RACK, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.runtime.compiled import table, table_of
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError
 from ehbench.vocabulary.fields import Value
 
 _KEPT = 256  # things that plants have in common
@@ -305,7 +305,6 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
 
 
 def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray]:
-    """(rows, packed flow maps)."""
     rows: list[dict[str, Any]] = []
     packed: list[tuple[FlowMap, float]] = []
     for name, (item, valve, edge) in zip(names.edges, rig.edges(), strict=False):

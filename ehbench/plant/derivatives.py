@@ -1,7 +1,5 @@
 """The laws of SPEC 2 put together into derivatives for any rig."""
 
-from __future__ import annotations
-
 from ehbench.parts.cylinder import (
     chamber_inflow,
     chamber_of,

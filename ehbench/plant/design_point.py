@@ -1,7 +1,5 @@
 """What a controller is designed for, made from a model of the rig without payload."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

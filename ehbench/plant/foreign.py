@@ -1,8 +1,6 @@
 """A rig whose laws a user's FMU takes the place of: it is started, stepped and read by the names of
 the rig's ``[model]``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,9 +20,8 @@ from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import Step
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.runtime.fmu import FmuProcess, Variable, fmu_of
-from ehbench.vocabulary.errors import FmuError, InputError, LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary import InputError, LogError, message, quantity
+from ehbench.vocabulary.errors import FmuError
 
 SAME = {"q": "x", "x": "q", "qd": "v", "v": "qd"}  # what a linkage makes of each
 

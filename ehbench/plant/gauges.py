@@ -1,7 +1,5 @@
 """Readings that a state implies: of a gauge across the piston and of a load cell in the rod."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

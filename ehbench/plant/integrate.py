@@ -1,8 +1,6 @@
 """One integrator for every type of plant: fourth-order Runge–Kutta, more steps where it is
 stiff."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

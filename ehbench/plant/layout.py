@@ -3,8 +3,6 @@
 Nothing else computes an offset. Kernels find states and workspace by ``plant.at`` (`Offsets`) and
 by the fields of the parts' rows, Python by `Layout`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Several simulations at once, on threads: kernels release Python's lock."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -13,7 +11,7 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, Start
 from ehbench.plant.paced import Step
 from ehbench.runtime.cores import cores
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary import EhbenchError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -27,10 +27,8 @@ from ehbench.plant.ties import supplied, tied_words, ties_of
 from ehbench.plant.trim import LowSide, carry, settle_parts, start_key
 from ehbench.plant.valves import acting_commands
 from ehbench.signals.series import first_of
-from ehbench.vocabulary.errors import InputError, LogError, SimulationError
+from ehbench.vocabulary import VOCABULARY, InputError, LogError, SimulationError, message
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
 
 FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
 # what of a recording tells where it starts

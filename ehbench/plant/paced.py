@@ -7,8 +7,6 @@ taken several at a time, and the samples between read from the cubic through bot
 linear and get their own answer, exact while a command is held. Where means of several samples are
 asked for, the cubic's values are added up, those of valves too."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal, NamedTuple
 

@@ -1,8 +1,6 @@
 """Pressures at which a cylinder rests whose chambers are joined to supply or tank by check valves,
 underlapped edges or valves that cannot shut."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

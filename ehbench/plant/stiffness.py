@@ -1,7 +1,5 @@
 """Which state asks for very short steps where the steps are chosen by the guard."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,8 +11,7 @@ from ehbench.data.record import Record
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, Start
 from ehbench.plant.paced import pace_of
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import Message, message, setting
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,6 @@ rates and pressures the model's; with ``motion``, rates are the recording's as w
 the answer to it. The supply's pressure may be given where the rig file's supply is not the
 machine's: a pump that gives way, an accumulator."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

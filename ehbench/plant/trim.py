@@ -1,7 +1,5 @@
 """What a start depends on, and how a state settles in it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from typing import Any

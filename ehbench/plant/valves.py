@@ -1,7 +1,5 @@
 """States that no sensor shows, over a whole record: of valves, frictions, lines and mounts."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ehbench.parts.cylinder import linkage_of

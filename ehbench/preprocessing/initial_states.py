@@ -5,8 +5,6 @@ is not the pressure at the first sample, and a supply's pressure is known to its
 number is a nuisance, in units of the standard deviation that the recording leaves it (its prior);
 identification and validation let the whole log estimate it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,9 +26,7 @@ from ehbench.preprocessing.observations import column, count_error
 from ehbench.preprocessing.plausibility import moving_at_first, on_at_first
 from ehbench.preprocessing.sensors import Bias, Term, corrected, sensed
 from ehbench.signals.series import LEAST_LINE, autocorrelation, correlation_time, rms
-from ehbench.vocabulary.errors import SimulationError
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import SimulationError, quantity, setting
 
 SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
 NO_BIAS: Mapping[str, float] = {}  # no bias of the sensors of all logs
@@ -462,8 +458,6 @@ def best_shifts(model: Model, start: InitialState, channels: Sequence[str]) -> n
 
 
 class _Follow:
-    """A recording followed from a start that may be shifted."""
-
     def __init__(self, model: Model, start: InitialState, channels: Sequence[str]) -> None:
         self.model, self.start, self.channels = model, start, channels
         self.recorded = _channel_table(start.record, channels, start.record)

@@ -1,7 +1,5 @@
 """What a log shows of a cylinder, and how: the rules that identification and validation share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,10 +11,8 @@ from ehbench.data.record import Record, payloads_of
 from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import RECORDED, SUPPLY, supplied
 from ehbench.signals.series import lowpass, rms, white_noise
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import InputError, Message, message, setting
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.settings import setting
 
 # what stands in for a channel that a log lacks, and moves with it
 STAND_INS = {

@@ -2,8 +2,6 @@
 
 What cannot be right raises an error; the rest are notes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -20,12 +18,10 @@ from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
 from ehbench.signals.series import white_noise
+from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import GAUGES, VOCABULARY
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import listed
-from ehbench.vocabulary.units import factor, from_si
+from ehbench.vocabulary.quantities import GAUGES
+from ehbench.vocabulary.units import factor
 
 LEAST_SAMPLES = 3
 LIMITED = ("Pa", "N")  # units of channels whose sensors may stand at the end of their range

@@ -4,8 +4,6 @@ says, what is known of its sensors taken out.
 A slip of a unit or a name gives a fit that looks like one. So every log passes here first: what
 cannot be right is refused with what would be right, what is merely odd comes back as a note."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,26 +14,10 @@ import numpy as np
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.preprocessing.plausibility import (
-    LEAST_SAMPLES,
-    begins_elsewhere,
-    foreign_channels,
-    moving_at_first,
-    notes_on_channels,
-    on_at_first,
-    refuse_angles,
-    refuse_commands,
-    refuse_positions,
-    refuse_pressures,
-    refuse_sample_time,
-    refuse_supply,
-    replay_notes,
-    undriven,
-)
+from ehbench.preprocessing import plausibility
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.preprocessing.time_base import evened
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import InputError, Message, message
 from ehbench.vocabulary.text import numbered
 
 
@@ -76,31 +58,35 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
             unit.
     """
     count, rig = record.t.size, model.rig
-    if count < LEAST_SAMPLES:
-        text = message("preprocessing.few_samples", log=name, count=count, least=LEAST_SAMPLES)
+    if count < plausibility.LEAST_SAMPLES:
+        text = message(
+            "preprocessing.few_samples", log=name, count=count, least=plausibility.LEAST_SAMPLES
+        )
         raise InputError(text)
     for channel, values in record.channels.items():
         if not np.isfinite(values).all():
             when = record.t[int(np.argmin(np.isfinite(values)))]
             text = message("preprocessing.not_a_number", log=name, channel=channel, time=when)
             raise InputError(text)
-    notes = [*foreign_channels(name, record, rig), *undriven(record, rig)]
-    refuse_sample_time(name, record, rig)
+    notes = [*plausibility.foreign_channels(name, record, rig), *plausibility.undriven(record, rig)]
+    plausibility.refuse_sample_time(name, record, rig)
     record, jitter = evened(name, record)
     notes += jitter
     if rig.payload and not record.meta.get("payload"):
         notes.append(message("preprocessing.no_payload", payloads=", ".join(rig.payload)))
-    refuse_commands(name, record, rig)
-    refuse_angles(name, record, model)
-    refuse_positions(name, record, rig)
+    plausibility.refuse_commands(name, record, rig)
+    plausibility.refuse_angles(name, record, model)
+    plausibility.refuse_positions(name, record, rig)
     rest = model.rest_samples(model.commands_of(record))
-    on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
+    on = plausibility.on_at_first(record, rig, rest)
+    moving = plausibility.moving_at_first(record, rig, rest)
     begun = [message("preprocessing.starts_on", channel=name, command=on[name]) for name in on]
     begun += [message("preprocessing.starts_moving", cylinder=name) for name in moving]
-    refuse_supply(name, record, model)
-    refuse_pressures(name, record, model, rest, still=not begun)
-    notes += [*begun, *notes_on_channels(record, model), *replay_notes(name, record, model)]
-    notes += begins_elsewhere(record, model, rest)
+    plausibility.refuse_supply(name, record, model)
+    plausibility.refuse_pressures(name, record, model, rest, still=not begun)
+    notes += [*begun, *plausibility.notes_on_channels(record, model)]
+    notes += plausibility.replay_notes(name, record, model)
+    notes += plausibility.begins_elsewhere(record, model, rest)
     return record, tuple(notes)
 
 

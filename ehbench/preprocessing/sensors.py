@@ -6,8 +6,6 @@ is a `Term`. Its bias e is what the number is off from the known one:
 
     log, known taken out = (1 + e_scale) · late(true) + e_offset"""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,9 +15,8 @@ import numpy as np
 from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.data.record import Record
 from ehbench.plant.ties import tied_words, without_noise
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError, grouped, message
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import like_channel
 
 ATMOSPHERE = 101_325.0  # [Pa]
@@ -119,7 +116,7 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
     estimated as well: commands as the valves get them, readings by their level and scale, a motion
     that is tied as much earlier as its sensor is late. It is the log itself where nothing is."""
     channels, given = {}, tied_words(record)
-    for name, item in _by_channel(terms).items():
+    for name, item in grouped(terms, lambda term: term.channel).items():
         if name not in record:
             continue
         e = {term.word: bias.get(term.name, 0.0) for term in item}
@@ -141,20 +138,13 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
 def sensed(replayed: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A simulation as the log's sensors would have shown it, known errors taken out."""
     channels = dict(replayed.channels)
-    for name, item in _by_channel(terms).items():
+    for name, item in grouped(terms, lambda term: term.channel).items():
         if name not in channels or name.endswith(".command"):
             continue
         e = {term.word: bias.get(term.name, 0.0) for term in item}
         seen = _delayed(channels[name], replayed.sample_time, item, bias)
         channels[name] = (1.0 + e.get("scale", 0.0)) * seen + e.get("offset", 0.0)
     return replace(replayed, channels=channels) if terms else replayed
-
-
-def _by_channel(terms: Sequence[Term]) -> dict[str, list[Term]]:
-    results: dict[str, list[Term]] = {}
-    for term in terms:
-        results.setdefault(term.channel, []).append(term)
-    return results
 
 
 def _delayed(y: np.ndarray, tick: float, terms: Sequence[Term], bias: Bias) -> np.ndarray:

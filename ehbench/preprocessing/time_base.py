@@ -4,8 +4,6 @@ Stamps that jitter are put on the beats of their rate. A few missing samples are
 gaps the log is cut into parts. Each part is a log by itself: nothing is known of the gap, so a
 simulation begins anew after it, from an initial state of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -15,10 +13,7 @@ import numpy as np
 from ehbench.data.rates import SETTINGS as RATES
 from ehbench.data.record import Record, resampled
 from ehbench.signals.timestamps import missing_rows, timestamps_of
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import listed
+from ehbench.vocabulary import LogError, Message, listed, message, setting
 
 
 @dataclass(frozen=True)

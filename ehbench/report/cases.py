@@ -8,9 +8,10 @@ import numpy as np
 
 from ehbench.config.rig import Rig, Slide
 from ehbench.data.record import Record
-from ehbench.report.saved import Saved, Table, grouped
+from ehbench.report.saved import Saved, Table
 from ehbench.report.words import load_name
 from ehbench.runs.rundir import read_json
+from ehbench.vocabulary import grouped
 from ehbench.vocabulary.codes import STATUS_MEANS
 
 SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared

@@ -23,9 +23,7 @@ from ehbench.report.words import (
 )
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, InputError, message
 
 _RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
 
@@ -202,5 +200,4 @@ def answer(result: Comparison, first: Path) -> Answer:
 
 
 def _abbreviated(text: str) -> str:
-    """A digest by its first letters."""
     return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or DASH

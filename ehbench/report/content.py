@@ -9,8 +9,7 @@ from typing import Any
 from ehbench.report.blocks import Block, Cell, Fold, Part, Picture
 from ehbench.report.saved import FigureIndex, Saved
 from ehbench.report.words import words
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary import Message, message, plural
 
 Pictures = Callable[..., list[Picture]]  # the run's figures that show something
 # how status words look as a chip; all others are plain

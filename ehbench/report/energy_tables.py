@@ -11,9 +11,10 @@ from ehbench.report.blocks import Block, Bullets, Cell, Text
 from ehbench.report.cases import Case, by_controller
 from ehbench.report.content import num
 from ehbench.report.figures.energy import SEEN, half_of, part_of
-from ehbench.report.saved import Table, grouped
+from ehbench.report.saved import Table
 from ehbench.report.template import Template
 from ehbench.report.words import load_name, number, shown, with_error, words
+from ehbench.vocabulary import grouped
 
 _BOUNDS = {
     "standard": "a four-way valve",

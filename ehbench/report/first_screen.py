@@ -25,7 +25,8 @@ from ehbench.report.saved import Saved
 from ehbench.report.stages import report_of
 from ehbench.report.template import Template
 from ehbench.report.words import capital, sentence, words
-from ehbench.vocabulary.messages import Message, message, ranked
+from ehbench.vocabulary import Message, message
+from ehbench.vocabulary.messages import ranked
 
 _PAGE = Template("headlines")
 # kinds of runs in their order, and how to go on where they end

@@ -29,7 +29,7 @@ from ehbench.report.blocks import (
 from ehbench.report.content import chip, num
 from ehbench.report.first_screen import Chapter, chapters_of, first_screen, overview
 from ehbench.report.provenance import TracedRun, unsupported
-from ehbench.report.saved import Saved, Table, grouped
+from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import place_of
 from ehbench.report.words import (
     as_fitted,
@@ -45,11 +45,9 @@ from ehbench.report.words import (
 from ehbench.runs import rundir
 from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
-from ehbench.vocabulary.errors import EhbenchError, InputError, nearest
+from ehbench.vocabulary import Z95, EhbenchError, InputError, grouped, message, plural
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.terms import Z95
 
 
 def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:

@@ -11,8 +11,7 @@ from ehbench.report.saved import Saved
 from ehbench.runs import rundir
 from ehbench.runs.rundir import read_json, sha256
 from ehbench.runs.versions import outdated, read_versions
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import EhbenchError, Message, message
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,6 @@ class TracedRun:
         return sources
 
     def _noted(self, key: str) -> list[Path]:
-        """The paths under a key of ``volatile.json``."""
         value = self._volatile.get(key)
         values = value if isinstance(value, list) else [value]
         return [Path(text) for text in values if isinstance(text, str)]

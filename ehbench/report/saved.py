@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -17,25 +17,11 @@ from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.text import text_table
 from ehbench.runs.rundir import read_json, write_json
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, quantity
+from ehbench.vocabulary import VOCABULARY, InputError, grouped, message, quantity, to_si
 from ehbench.vocabulary.text import unlike
-from ehbench.vocabulary.units import to_si
 
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _INDEX = "figures/index.json"
-
-Item = TypeVar("Item")
-Key = TypeVar("Key")
-
-
-def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Items by their key, both in their order."""
-    groups: dict[Key, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
 
 
 class Table(Mapping):

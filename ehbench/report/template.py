@@ -23,9 +23,7 @@ from ehbench.config.rig import Rig
 from ehbench.report import words
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.content import chip, num
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import VOCABULARY, Z95, plural
 
 if TYPE_CHECKING:
     import jinja2

@@ -18,8 +18,8 @@ from ehbench.report.provenance import TracedRun
 from ehbench.report.saved import Saved
 from ehbench.report.words import capital, words
 from ehbench.runs.rundir import plain, read_json
-from ehbench.vocabulary.messages import Message, is_warning, message, ranked
-from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary import Message, message, plural
+from ehbench.vocabulary.messages import is_warning, ranked
 from ehbench.vocabulary.text import folded
 
 GAP = "  "

@@ -14,9 +14,8 @@ from ehbench.report.provenance import Source, TracedRun
 from ehbench.report.saved import Saved
 from ehbench.report.words import estimate, interval, number, pretty, row_of, shown, unit_of, words
 from ehbench.runs.rundir import SHIPPED, read_json
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import Message, message, templates
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary import VOCABULARY, EhbenchError, InputError, Message, message
+from ehbench.vocabulary.messages import templates
 
 # run facts and what only pictures need
 _SKIPPED = {"run.json", "volatile.json", "flow_maps.json"}

@@ -11,8 +11,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.saved import Table
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, Quantity, from_si
 
 DASH = "–"
 SKEW = 0.1  # share of its half width by which a value may stand off an interval's middle for ±

@@ -28,8 +28,7 @@ from typing import Any
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import DATA, impossible, read_bytes, write_text
 from ehbench.runtime.interrupts import unbroken
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import EhbenchError, InputError, Message, message
 from ehbench.vocabulary.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -463,7 +462,6 @@ def salvage(left: Path) -> list[Message]:
 
 
 def _unused(place: Path) -> Path:
-    """A folder name that is not taken."""
     tries = (place if n == 1 else place.with_name(f"{place.name}_{n}") for n in itertools.count(1))
     return next(item for item in tries if not item.exists())
 

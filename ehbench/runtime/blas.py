@@ -1,7 +1,5 @@
 """One thread for the linear algebra of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache

@@ -2,8 +2,6 @@
 for loops that allocate, one cache for their code. It uses numba through its public interface.
 """
 
-from __future__ import annotations
-
 import atexit
 import gc
 import hashlib

@@ -1,8 +1,6 @@
 """Work in a child process with bounded memory, time and files, for libraries that a damaged or
 hostile file may bring down."""
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import resource

@@ -2,8 +2,6 @@
 at all.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat
@@ -12,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from zlib import crc32
 
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError
 from ehbench.vocabulary.text import shortened_path
 
 TEXT = 16 * 2**20  # [bytes] of a recipe, rig or JSON file

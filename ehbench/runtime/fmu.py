@@ -3,8 +3,6 @@
 A binary is foreign code. Each runs in a process with bounded memory and time, which where the
 system knows how opens no files but its own."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -26,10 +24,8 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from ehbench.runtime.fmu_child import DONE, HEAD, START, STEP
-from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import FmuError, InputError, UnitError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, UnitError, message, setting, units
+from ehbench.vocabulary.errors import FmuError
 
 
 @dataclass(frozen=True)

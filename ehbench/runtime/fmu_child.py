@@ -2,8 +2,6 @@
 
 It takes frames from standard input and answers on standard output: `HEAD`, then float64."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -2,8 +2,6 @@
 while it does what an exception must not leave half done.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

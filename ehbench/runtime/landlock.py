@@ -1,7 +1,5 @@
 """What files this process may open, by Linux's Landlock (`man 7 landlock`)."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

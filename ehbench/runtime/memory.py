@@ -1,10 +1,8 @@
 """What work would take, said before it begins."""
 
-from __future__ import annotations
-
 import os
 
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError
 
 SHARE = 0.5  # of the memory that one piece of work may fill
 UNSAID = 8e9  # [bytes] where a system does not say how much memory it has

@@ -1,7 +1,5 @@
 """A loop as punctual as Linux lets a process be."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -1,7 +1,5 @@
 """The package's own files, by which results and compiled code are named."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Samples on a Dask cluster: chunks of tasks, the study's files once to each worker. Workers may
 come, go and die."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import threading
@@ -21,9 +19,7 @@ from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import POOLS
 from ehbench.sampling.sample import Make, Sample, Task, Workers
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InputError, message, setting
 
 if TYPE_CHECKING:
     from distributed import Future

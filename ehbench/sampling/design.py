@@ -14,9 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.config.recipe import StudyRecipe
-from ehbench.vocabulary.errors import InputError, UnitError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary import InputError, UnitError, message, shortened
 from ehbench.vocabulary.units import split_number
 
 CASE, RECIPE = "case", "recipe"  # columns that no key has

@@ -1,7 +1,5 @@
 """The samples of a running study on disk, a line each; the last one may be torn."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -14,8 +12,7 @@ import numpy as np
 
 from ehbench.runs.rundir import FULL
 from ehbench.sampling.sample import Sample
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class Journal:

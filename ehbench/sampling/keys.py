@@ -5,8 +5,6 @@
 are entered by an entry's name or number; ``bench.delay`` by the bench file that it names. A ``*``
 stands for any part of a parameter's name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -18,9 +16,8 @@ from typing import Any
 from ehbench.config.recipe import validated
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
-from ehbench.vocabulary.errors import InputError, UnitError, placed
+from ehbench.vocabulary import InputError, UnitError, message, placed
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import split_number
 
 RIG, RECIPE, BENCH = "rig", "recipe", "bench"
@@ -168,7 +165,6 @@ def _put(here: Any, words: Sequence[str], raw: Any, text: str, table: Mapping[st
 
 
 def _names(items: Sequence[Any]) -> list[str]:
-    """The entries of a list by their names, or numbers."""
     return [
         str(item.get("name", at)) if isinstance(item, Mapping) else str(at)
         for at, item in enumerate(items)

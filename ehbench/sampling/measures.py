@@ -1,7 +1,5 @@
 """What is taken of a sample: numbers of its results by name, or of its log's channels."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import types
@@ -13,9 +11,7 @@ import numpy as np
 
 from ehbench.config.recipe import Measure
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message
 
 ANY, ENTRY = "*", "0"
 # words of results that are quantities under another name

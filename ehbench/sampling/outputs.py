@@ -19,9 +19,8 @@ from ehbench.config.rig import Rig
 from ehbench.sampling.design import Design
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.measures import row_of
-from ehbench.vocabulary.quantities import Quantity
+from ehbench.vocabulary import Quantity, from_si
 from ehbench.vocabulary.text import quoted
-from ehbench.vocabulary.units import from_si
 
 
 @dataclass(frozen=True)

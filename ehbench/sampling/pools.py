@@ -1,8 +1,6 @@
 """Where samples are made: threads or processes here, or a Dask cluster
 (`ehbench.sampling.cluster`). No sample depends on where or in which order it is made."""
 
-from __future__ import annotations
-
 import pickle
 import signal
 import subprocess
@@ -19,8 +17,7 @@ from typing import Any
 
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Make, Open, Sample, Task
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary import InputError, message, shortened
 
 ENCRYPTED = ("tls", "wss")  # protocols of Dask
 

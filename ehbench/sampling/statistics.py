@@ -1,7 +1,5 @@
 """What samples say together: quantiles and shares with limits, and inputs that matter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """What the samples of a study say together, as ``study.json`` states it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,8 +14,7 @@ from ehbench.sampling import statistics
 from ehbench.sampling.design import Design, label_of
 from ehbench.sampling.outputs import MeasureColumn, Rows
 from ehbench.sampling.sample import STATUS, WHOLE
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,12 @@
 """What a sensor cannot have seen: sentinels, an angle that wraps, jumps of a single sample."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ehbench.signals.series import stretches_of
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 Least squares over the frequency, the damping and the drift's time constant alone: amplitudes are
 eliminated (separable least squares, Golub & Pereyra 1973)."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

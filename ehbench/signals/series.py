@@ -3,8 +3,6 @@
 A series is sampled evenly; ``y`` is (samples,) or (samples, channels). Correlations are of the
 series minus its mean."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +14,7 @@ import numpy as np
 
 from ehbench.signals import oscillation
 from ehbench.signals.oscillation import basis, drift, project
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 LEAST_LINE = 8  # samples that show a slope
 _SETTLE = 0.02  # [s] that a window between two changes of a command lasts at least

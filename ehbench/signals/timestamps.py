@@ -7,14 +7,12 @@ beats of one clock, however many of these are missing. So the clock is estimated
 circular mean of the stamps over its period, block by block, and each row gets the beat next to its
 stamp."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,8 @@ from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
 from ehbench.sampling.sample import Workers
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState, maps_in
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import label, plural, shown, table
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message, plural
+from ehbench.vocabulary.notebook import label, shown, table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,17 +54,11 @@ class Outcome:
         """Parameters by name [SI]: value, standard error, 95 % interval, unit, status."""
         import pandas as pd
 
-        rows = {
-            row["name"]: {
-                "value": row["value"],
-                "std": row["std"],
-                "low": row["interval"] and row["interval"][0],
-                "high": row["interval"] and row["interval"][1],
-                "unit": row["unit"],
-                "status": row["status"],
-            }
-            for row in self.json("parameters")["parameters"]
-        }
+        rows = {}
+        for row in self.json("parameters")["parameters"]:
+            low, high = row["interval"] or (None, None)
+            ends = {"value": row["value"], "std": row["std"], "low": low, "high": high}
+            rows[row["name"]] = ends | {"unit": row["unit"], "status": row["status"]}
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def json(self, name: str) -> Any:

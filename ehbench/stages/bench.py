@@ -3,9 +3,8 @@
 from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
 from ehbench.stages.base import Checked, Prepared
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary import message, plural
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
 
 
 class BenchFile(Checked[BenchRecipe]):

@@ -10,10 +10,7 @@ from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, Work, stage_of
 from ehbench.stages.inputs import Inputs
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message, plural
 
 
 @dataclass(frozen=True)

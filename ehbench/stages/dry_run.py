@@ -9,8 +9,7 @@ from ehbench.runs import rundir
 from ehbench.stages.base import Prepared, Stage, stage_of
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 class CircularRecipes(InputError):

@@ -26,9 +26,8 @@ from ehbench.stages.base import Host, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.relocation import relative
 from ehbench.stages.trial import prepared_case
-from ehbench.vocabulary.errors import EhbenchError, InputError, ModelRejected
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message
+from ehbench.vocabulary.errors import ModelRejected
 
 if TYPE_CHECKING:
     from ehbench.export import Export

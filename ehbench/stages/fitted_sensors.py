@@ -8,9 +8,7 @@ from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor, reading_row
 from ehbench.config.rig import Rig
 from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.runs import rundir
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import Z95
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import Z95, from_si, message
 
 FILE, TABLES = "parameters.json", "sensor_tables"
 

@@ -13,11 +13,8 @@ from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, Logs, RigState
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import message, of_log
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, Progress, message, plural, setting
+from ehbench.vocabulary.messages import of_log
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig

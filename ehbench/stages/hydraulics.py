@@ -23,10 +23,7 @@ from ehbench.stages.base import (
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.stages.relocation import name_from, relocated
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message, plural
 
 if TYPE_CHECKING:
     from ehbench.config.recipe.sensor import Sensor
@@ -37,6 +34,11 @@ if TYPE_CHECKING:
 
 
 _METHODS = {"thesis": "log decrement", "output_error": "output error"}
+# options of a fit that a recipe says as they are
+_OPTIONS = (
+    *("method", "start", "lower", "upper", "prior", "channels"),
+    *("decimate", "max_iterations", "workers"),
+)
 
 
 @dataclass(frozen=True)
@@ -186,17 +188,9 @@ def _prepared_fit(
     given = recipe.response
     response = None if given is None else (given.input, Averaging.of(given))
     options = FitOptions(
-        method=recipe.method,
-        start=recipe.start,
-        lower=recipe.lower,
-        upper=recipe.upper,
-        prior=recipe.prior,
-        channels=recipe.channels,
+        **{name: getattr(recipe, name) for name in _OPTIONS},
         sensors=sensors,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         response=response,
-        decimate=recipe.decimate,
-        max_iterations=recipe.max_iterations,
-        workers=recipe.workers,
     )
     return prepare_fit(rig, logs.records, recipe.parameters, options, state.flow_maps, recipe.at)

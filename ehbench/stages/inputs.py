@@ -26,9 +26,9 @@ from ehbench.config.recipe import (
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.runs import rundir
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import EhbenchError, InputError, gathered, nearest, raise_all
+from ehbench.vocabulary import EhbenchError, InputError, message
+from ehbench.vocabulary.errors import gathered, nearest, raise_all
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message
 
 if TYPE_CHECKING:
     from ehbench.data.additional import AdditionalFile

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ehbench.config.recipe import Recipe
 from ehbench.stages.relocation import relative
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary import EhbenchError
 
 
 @dataclass

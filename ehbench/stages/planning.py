@@ -19,9 +19,7 @@ from ehbench.stages.base import DONE, Host, Outcome, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage, expect_hydraulics
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.relocation import relative
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,11 +13,8 @@ from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import PreparedFromLogs, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary import Progress, message, plural, quantity
 from ehbench.vocabulary.fields import Q, Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
     from ehbench.frequency_response.response import Signals
@@ -112,7 +109,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         }
         if recipe.transfer:
             forms = transfers(prepared.signals.pairs, prepared.signals.rate)
-            table["transfers"] = [form.as_json() for form in forms]
+            table["transfers"] = [asdict(form) for form in forms]
         rundir.write_json(folder / "response.json", table)
         write_text(folder / "response.csv", result.table(unit))
         write_rig(folder, prepared.state.rig, None)

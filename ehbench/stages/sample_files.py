@@ -17,9 +17,7 @@ from ehbench.stages.inputs import Inputs
 from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import name_from, relocated
 from ehbench.stages.samples import Plan, RecipeFile, SampleFiles, Sampler, write_bench
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message
 
 
 def run_samples(

@@ -34,9 +34,7 @@ from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import relative
 from ehbench.stages.trial import PreparedOne
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message
 
 
 @dataclass(frozen=True)
@@ -327,7 +325,6 @@ class Sampler:
 
 
 def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) -> float:
-    """A measure of results, the first of ``roots`` that has it."""
     words = (item.result or "").split(".")
     root = next((root for root in roots if lookup(root, words) is not None), {})
     numbers = {} if item.inside is None else {item.inside: _si(settings[item.inside], item.inside)}
@@ -339,7 +336,6 @@ def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) 
 
 
 def _si(value: Any, key: str) -> float:
-    """A number that a sample sets, in SI."""
     from ehbench.config.rig import parameter_row
     from ehbench.vocabulary.units import parse
 
@@ -407,7 +403,6 @@ def upstream_recipes(path: Path) -> dict[str, Path]:
 
 
 def _texts(value: Any) -> list[str]:
-    """All texts in a table."""
     if isinstance(value, str):
         return [value]
     if not isinstance(value, Mapping | list):

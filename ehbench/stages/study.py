@@ -37,11 +37,7 @@ from ehbench.stages.inputs import Inputs
 from ehbench.stages.sample_files import load_study, run_samples, write_sample
 from ehbench.stages.samples import Plan, Sampler, upstream_recipes
 from ehbench.stages.trial import PreparedOne
-from ehbench.vocabulary.errors import EhbenchError, InputError, placed
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message, placed, plural, setting
 from ehbench.vocabulary.units import parse
 
 

@@ -14,9 +14,7 @@ from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_re
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig

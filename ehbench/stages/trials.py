@@ -12,10 +12,7 @@ from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.trial import PLACES, length_of, measure_types, prepared_case, time_is_known
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InputError, Progress, message, plural
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig

@@ -10,10 +10,8 @@ from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, REJECTED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, ValidatedRig
-from ehbench.vocabulary.errors import InsufficientData, ModelRejected
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary import InsufficientData, Progress, message, plural
+from ehbench.vocabulary.errors import ModelRejected
 
 if TYPE_CHECKING:
     from ehbench.tune.arc import ArcTuning
@@ -33,8 +31,6 @@ class PreparedTuning(Prepared, Generic[R]):
 
 
 class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
-    """What both tunings share."""
-
     command = "tune"
     writes = "tuning.json, rig.toml, figures"
 
@@ -68,7 +64,6 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
     def _written(
         self, prepared: PreparedTuning[R], folder: Path, tuning: Tuning | ArcTuning
     ) -> Work:
-        """Write the results."""
         state = prepared.state
         write_rig(folder, state.rig, state.flow_maps)
         rundir.write_json(folder / "tuning.json", tuning.as_json())

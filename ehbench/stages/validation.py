@@ -28,12 +28,8 @@ from ehbench.stages.base import (
 from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, RigState, span_of
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message, of_log
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import EhbenchError, Progress, from_si, message, plural, quantity
+from ehbench.vocabulary.messages import of_log
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig
@@ -149,7 +145,6 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
 
 
 def _limits(recipe: ValidateRecipe, rig: Rig) -> list[str]:
-    """What a model must reach, in words."""
     limits = recipe.thresholds
     texts: list[str] = [
         message("stages.limit_fit", name=name, minimum=minimum)

@@ -1,8 +1,6 @@
 """Trials: open-loop commands or a controller, on the model or on the virtual bench, stopped safely
 when a limit is reached."""
 
-from __future__ import annotations
-
 from ehbench.trial.cases import (
     Account,
     Case,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,13 +16,12 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.ledger import Accuracy, bounds, ledger_of_log, ledger_of_model
 from ehbench.plant.many import map_threads
+from ehbench.sampling.measures import lookup
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, Facts, Result, run
+from ehbench.vocabulary import VOCABULARY, Message, from_si, message
 from ehbench.vocabulary.errors import EhbenchError, InsufficientData, SimulationError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.text import numbered, quoted
-from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -75,7 +74,7 @@ def account(prepared: Prepared, result: Result, intervals: bool = True) -> Accou
         }
         facts = facts.with_energy(energies)
         with suppress(InsufficientData):  # it did not move, or its supply has not one pressure
-            limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
+            limits = [asdict(bounds(prepared.rig, record, facts.cylinder, ledger))]
     return Account(facts, ledger.as_json() | {"bounds": limits})
 
 
@@ -237,74 +236,58 @@ def table_rows(cases: Sequence[Case], results: Sequence[Account]) -> list[dict[s
     ]
 
 
-# column: (quantity whose display unit it has, or a unit; where it lies)
-_STEP = {
-    "speed": ("v", "speed"),
-    "share": ("%", "share"),
-    "steady_speed": ("v", "steady_speed"),
-    "steady_error": ("%", "steady_error"),
-    "overshoot": ("%", "overshoot"),
-    "settling_time": ("t", "settling_time"),
-    "speed_rms_error": ("v", "rms_error"),
-    "damping_ratio": ("damping_ratio", "damping_ratio"),
-    "damping_ratio_fitted": ("damping_ratio", "damping_ratio_fitted"),
-    "natural_frequency": ("natural_frequency", "natural_frequency"),
-}
-_TRACKING = {"max_error": "x", "rms_error": "x", "final_error": "x"}
-_TRUE = {f"{name}_true": word for name, word in _TRACKING.items()}
-
-
-# where a cylinder swung by itself, and how far its valves at their end let it fall behind
-_SWING = {"swing": ("x", "amplitude"), "swing_period": ("t", "period")}
-_SHORT = {"speed_desired": ("v", "desired"), "speed_reached": ("v", "reached")}
-_TIP = {"tip_max_error": "max_error", "tip_rms_error": "rms_error"}
+_ERRORS = ("max_error", "rms_error", "final_error")
+# (column, quantity whose display unit it has, or a unit, where it lies)
+_COLUMNS = (
+    ("speed", "v", "step.speed"),
+    ("share", "%", "step.share"),
+    ("steady_speed", "v", "step.steady_speed"),
+    ("steady_error", "%", "step.steady_error"),
+    ("overshoot", "%", "step.overshoot"),
+    ("settling_time", "t", "step.settling_time"),
+    ("speed_rms_error", "v", "step.rms_error"),
+    ("damping_ratio", "damping_ratio", "step.damping_ratio"),
+    ("damping_ratio_fitted", "damping_ratio", "step.damping_ratio_fitted"),
+    ("natural_frequency", "natural_frequency", "step.natural_frequency"),
+    *((name, "x", f"cylinder.tracking.{name}") for name in _ERRORS),
+    *((f"{name}_true", "x", f"cylinder.tracking_true.{name}") for name in _ERRORS),
+    ("pump_energy", "energy", "row.energy.pump"),
+    ("tip_max_error", "tip_error", "row.tip.max_error"),
+    ("tip_rms_error", "tip_error", "row.tip.rms_error"),
+    ("swing", "x", "cylinder.limit_cycle.amplitude"),
+    ("swing_period", "t", "cylinder.limit_cycle.period"),
+    ("speed_desired", "v", "cylinder.short.desired"),
+    ("speed_reached", "v", "cylinder.short.reached"),
+)
+_RARE = ("tracking_true", "tip", "limit_cycle", "short")  # columns where a row has them
 
 
 def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
     """The table as CSV in the units of the rig file: a row a step of speed, or a row a case without
     steps; empty where there is nothing. Of cases that move several cylinders a row each, with the
     tip's error."""
-    several = any(row.get("tip") for row in rows)
-    units = {name: unit if unit == "%" else rig.unit_of(unit) for name, (unit, _) in _STEP.items()}
-    strokes = _TRACKING | (_TRUE if any("tracking_true" in row for row in rows) else {})
-    units |= {name: rig.unit_of(word) for name, word in strokes.items()} | {
-        "pump_energy": rig.unit_of("energy")
-    }
-    units |= {name: rig.unit_of("tip_error") for name in _TIP if several}
-    met = {
-        key: columns
-        for key, columns in (("limit_cycle", _SWING), ("short", _SHORT))
-        if any(row.get(key) for row in rows)
-    }
-    units |= {name: rig.unit_of(word) for c in met.values() for name, (word, _) in c.items()}
-    front = ["case", "payload", "motion", "controller", "on", "step"]
-    heads = [
-        *front,
-        *(["cylinder"] if several else []),
-        *(name if u == "dimensionless" else f"{name} [{u}]" for name, u in units.items()),
+    met = [name for name in _RARE if any(row.get(name) for row in rows)]
+    columns = [
+        (name, word, word if word == "%" else rig.unit_of(word), place.split("."))
+        for name, word, place in _COLUMNS
+        if (table := place.split(".")[1]) not in _RARE or table in met
     ]
+    front = ["case", "payload", "motion", "controller", "on"]
+    heads = [*front, "step", *(["cylinder"] if "tip" in met else [])]
+    heads += [n if unit == "dimensionless" else f"{n} [{unit}]" for n, _, unit, _ in columns]
     lines = [",".join([*heads, "stopped"])]
 
-    def cell(value: float | None, name: str, word: str) -> str:
+    def cell(value: float | None, word: str, unit: str) -> str:
         if value is None:
             return ""
-        share = units[name] == "%"
-        return f"{100.0 * value if share else from_si(value, units[name], VOCABULARY[word]):.6g}"
+        return f"{100.0 * value if unit == '%' else from_si(value, unit, VOCABULARY[word]):.6g}"
 
     for row in rows:
-        energy, tip = cell(row["energy"]["pump"], "pump_energy", "energy"), row.get("tip", {})
-        tips = [cell(tip.get(key), name, "tip_error") for name, key in _TIP.items() if several]
         for cylinder, item in {row["cylinder"]: row, **row.get("also", {})}.items():
             for number, step in enumerate(item["steps"] or [{}], 1):
-                cells = [str(number) if step else "", *([cylinder] if several else [])]
-                cells += [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
-                true = item.get("tracking_true", {}).items()
-                errors = item["tracking"] | {f"{name}_true": value for name, value in true}
-                cells += [cell(errors.get(name), name, word) for name, word in strokes.items()]
-                cells += [energy, *tips]
-                for key, columns in met.items():
-                    message = item.get(key) or {}
-                    cells += [cell(message.get(w), n, word) for n, (word, w) in columns.items()]
-                line = [*(row[name] for name in front[:-1]), *cells, row["stopped"]]
+                cells = [str(number) if step else "", *([cylinder] if "tip" in met else [])]
+                tables = {"step": step, "cylinder": item, "row": row}
+                cells += [cell(lookup(tables, at), word, unit) for _, word, unit, at in columns]
+                line = [*(row[name] for name in front), *cells, row["stopped"]]
                 lines.append(",".join(quoted(text) for text in line))
     return "\n".join(lines) + "\n"

@@ -13,7 +13,7 @@ from ehbench.config.recipe import Limits
 from ehbench.config.rig import Rig
 from ehbench.machines.rows import LIMITS, Checks
 from ehbench.parts.sample import OF, entry
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 if TYPE_CHECKING:
     from ehbench.trial.controllers import Compiled

@@ -1,7 +1,5 @@
 """Where a user's code lies and which files it imports, without running any of it."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import sysconfig
@@ -10,9 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ehbench.config.recipe import TrialRecipe
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary import InputError, message, shortened
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 

@@ -1,7 +1,5 @@
 """Open-loop commands of a trial as a table of volts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from pathlib import Path
@@ -11,12 +9,10 @@ import numpy as np
 from ehbench.config.recipe import Command, TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray:
-    """One entry's command [V] at times ``t`` [s]."""
     offset, amplitude, start = float(command.offset), float(command.amplitude), float(command.start)
     stop = math.inf if command.stop is None else float(command.stop)
     slack = 1e-9  # a sample that falls on the switching time belongs to what comes after

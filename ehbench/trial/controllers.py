@@ -37,11 +37,8 @@ from ehbench.parts.sample import sample_size
 from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity
-from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

@@ -1,8 +1,6 @@
 """Several cylinders at once: the motion of each, as long as the longest and no faster than the
 pump allows, and the others' motions for laws that use them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +22,7 @@ from ehbench.physics.tip import Chain, tip_of
 from ehbench.trial.controllers import Design, controller_of
 from ehbench.trial.measures import tracking_measures
 from ehbench.trial.motion import References, standing
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 A lever's deflection becomes a desired speed, and that a desired stroke, by rules that know nothing
 of the clock: the deflections of a log give the same motion once more, to the bit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from ehbench.control.trajectory import ORDERS, A, X
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 DEFLECTION, DEADMAN = range(2)  # columns of what a lever said
 LEVER_CHANNELS = ("operator", "deadman")  # by which logs have them

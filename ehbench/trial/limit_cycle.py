@@ -2,15 +2,13 @@
 and to a swing of the reference.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ehbench.runtime.compiled import kernel
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

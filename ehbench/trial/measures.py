@@ -1,7 +1,5 @@
 """How well a trial did, from arrays in SI, and what a law learnt of its flow maps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +12,8 @@ from ehbench.machines.protocol import Machine, static_flow_of
 from ehbench.parts.edge import edge_flows, edge_onset
 from ehbench.signals.series import ringing, rms, stretches_of
 from ehbench.trial.controllers import Design
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import STALLED, UNABLE
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

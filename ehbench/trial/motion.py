@@ -1,7 +1,5 @@
 """What the controlled cylinder shall do, as a table of references, one row a tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -32,12 +30,9 @@ from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
 from ehbench.trial.lever import LEVER_CHANNELS, Lever, commanded
+from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message, setting
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ import numpy as np
 from ehbench.control.trajectory import ORDERS, A, V, X
 from ehbench.data.record import Record
 from ehbench.trial.lever import LEVER_CHANNELS, Lever
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 if TYPE_CHECKING:
     from ehbench.machines.rows import Checks

@@ -18,11 +18,7 @@ from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
 from ehbench.trial.motion import limits_of
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import InputError, from_si, message, quantity, setting
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -200,11 +196,6 @@ class Mover:
             message("trial.near_singular", before=index, number=index + 1, distance=distance),
             **where,
         )
-
-
-def along_path(recipe: TrialRecipe) -> bool:
-    """Whether a trial's motion is a path of the tip."""
-    return recipe.motion is not None and recipe.motion.kind == "path"
 
 
 def route(recipe: TrialRecipe, model: Model) -> tuple[dict[str, float], dict[str, np.ndarray]]:

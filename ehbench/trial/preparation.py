@@ -3,6 +3,7 @@ it stops."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,6 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.functions import pack_rules
 from ehbench.control.trajectory import Reference
-from ehbench.data.record import payloads_text
 from ehbench.machines.protocol import (
     Machine,
     carry_of,
@@ -36,12 +36,9 @@ from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design
 from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.motion import References, lasting, references, rest
-from ehbench.trial.path import along_path, route
+from ehbench.trial.path import route
 from ehbench.trial.user_code import UserCode
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import VOCABULARY, InputError, Message, from_si, message
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -199,8 +196,8 @@ class Prepared:
             "title": recipe.title,
         }
         if recipe.payload_change:
-            changes = ((float(change.at), change.payload) for change in recipe.payload_change)
-            meta["payload_change"] = payloads_text(changes)
+            changes = [(float(change.at), change.payload) for change in recipe.payload_change]
+            meta["payload_change"] = json.dumps(changes)
         if self.loop is not None and recipe.controller is not None:
             label, cylinder = recipe.controller.label, self.loop.design.cylinder
             meta |= {"controller": label, "cylinder": cylinder}
@@ -467,7 +464,8 @@ def _loop(
     standing: bool,
 ) -> Loop:
     model = Model.of(rig, maps)  # one for all: nobody writes into it
-    starts, tables = route(recipe, model) if along_path(recipe) else (None, None)
+    along = recipe.motion is not None and recipe.motion.kind == "path"
+    starts, tables = route(recipe, model) if along else (None, None)
     singles = recipe.singles(starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)

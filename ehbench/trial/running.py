@@ -33,12 +33,9 @@ from ehbench.trial.measures import (
 from ehbench.trial.operator import OperatorInput
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session, Watcher
+from ehbench.vocabulary import InputError, Message, Progress, SimulationError, message, quantity
 from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS
 from ehbench.vocabulary.codes import SATURATED
-from ehbench.vocabulary.errors import InputError, SimulationError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

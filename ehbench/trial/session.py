@@ -54,11 +54,8 @@ from ehbench.trial.operator import (
 )
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
+from ehbench.vocabulary import InputError, message, quantity, setting
 from ehbench.vocabulary.codes import HOLD
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
     from ehbench.data.logs import LogWriter

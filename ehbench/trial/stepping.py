@@ -1,7 +1,5 @@
 """Controllers by themselves, one tick at a time: for a plant of the user's, or a loop of theirs."""
 
-from __future__ import annotations
-
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -11,8 +9,7 @@ from ehbench.machines.rows import control
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.session import packed
 from ehbench.trial.user_code import UserCode
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import InputError, message
 
 
 @runtime_checkable

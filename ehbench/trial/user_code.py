@@ -1,8 +1,6 @@
 """A user's controller: loads the class, calls it tick by tick, and reports where it went wrong; the
 protocol is in docs/howto/run_trials.md."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -30,11 +28,8 @@ from ehbench.runtime.compiled import bound
 from ehbench.runtime.interrupts import Terminated
 from ehbench.trial.code import code_file
 from ehbench.trial.controllers import Design, controller_of, quantities
+from ehbench.vocabulary import VOCABULARY, Message, Quantity, message, quantity, setting, shortened
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import shortened
 
 NOTE = "note."  # what the channel of a note begins with: no machine measures such a one
 _NOTE_NAME = re.compile(r"(?:\w[\w-]{0,99}\.){0,9}\w{1,99}")
@@ -108,11 +103,6 @@ class Guard:
     def _look(self, *_: object) -> None:
         if self._since and time.monotonic() - self._since > self.longest:
             raise Overdue
-
-
-def is_users(error: BaseException) -> bool:
-    """Whether an error is the doing of who runs the program, and not the code's own."""
-    return isinstance(error, (Terminated, KeyboardInterrupt))
 
 
 class UserCode:
@@ -364,7 +354,8 @@ class _Code:
         try:
             return self.guard(function, *given)
         except BaseException as error:
-            if isinstance(error, passing) or is_users(error):
+            # what who runs the program does is not the code's own
+            if isinstance(error, (*passing, Terminated, KeyboardInterrupt)):
                 raise
             raise self.raised(what, error, t) from error
 

@@ -1,8 +1,6 @@
 """The bandwidths of the adaptive robust controller: the fastest that keep margins at every
 operating point of the whole sampled loop (`ehbench.tune.arc_loop`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -18,10 +16,7 @@ from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.tune.arc_loop import ARC_LOOP, ArcLoop, LoopMargins, SampledPlant, Sensing
 from ehbench.tune.study import Study, rail_notes
-from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import InsufficientData, Message, Progress, message, setting
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
 from ehbench.tune.operating_point import OperatingPoint, state_of
+from ehbench.vocabulary import setting
 from ehbench.vocabulary.codes import DISTURBANCE, FREE, FUNCTIONS, INVERSE_INERTIA, PAYLOAD_SHARE
-from ehbench.vocabulary.settings import setting
 
 # states of the controller's memory in motion, and their steps for differences
 MEMORY_STEPS = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
@@ -282,7 +282,6 @@ class SampledPlant:
 
 
 def _words(model: Model) -> list[str]:
-    """What each channel of a sample measures."""
     return [name.rsplit(".", 1)[-1] for name in sample_channels(model.layout.cylinders)]
 
 

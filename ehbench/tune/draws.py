@@ -1,7 +1,5 @@
 """How sure a tuning is: the worst damping ratio over draws of the identified parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -19,9 +17,8 @@ from ehbench.tune.operating_point import Aim, equivalent
 from ehbench.tune.results import PointResult, Robustness
 from ehbench.tune.search import SEARCH
 from ehbench.tune.study import SteadyMotion, Study, model_under
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
 
 Correlation = tuple[Sequence[str], Any]  # (names, matrix) of the identified parameters
 

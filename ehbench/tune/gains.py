@@ -4,8 +4,6 @@ Gains are chosen on `ehbench.tune.linear` models: the gain with the largest leas
 all operating points, of those that keep the stated gain margin, phase margin and bandwidth at every
 one of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,9 +29,8 @@ from ehbench.tune.operating_point import OperatingPoint
 from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, functions_of, pairs
 from ehbench.tune.search import SEARCH, LawSearch, choose_gain
 from ehbench.tune.study import SteadyMotion, Study
+from ehbench.vocabulary import Message, Progress, grouped, message
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.progress import Progress
 
 
 def tune_pressure_feedback(
@@ -96,7 +93,6 @@ def tune_pressure_feedback(
 
 
 def _setup(study: Study[TuneRecipe], law: Law) -> dict[str, Any]:
-    """What was tuned, with the law's numbers."""
     return {
         "rig": study.rig.name,
         "supply": study.rig.supply.facts(),
@@ -130,11 +126,9 @@ def _gains_by_function(
     notes: list[Message],
 ) -> dict[str, float]:
     """The gain of each working function; of one that no load calls for, the least."""
-    counted = [motion for motion in study.motions if motion.counts]
-    groups: dict[str, list[SteadyMotion]] = {}
-    for motion in counted:
-        key = "" if study.recipe.one_gain else motion.point.function
-        groups.setdefault(key, []).append(motion)
+    counted = (motion for motion in study.motions if motion.counts)
+    apart = not study.recipe.one_gain
+    groups = grouped(counted, lambda motion: motion.point.function if apart else "")
     chosen = {key: choose_gain(group, law, gains, demands, notes) for key, group in groups.items()}
     minimum = min(chosen.values())
     return {

@@ -3,8 +3,6 @@
 All other joints are held. A model has the states ``v, p_head, p_rod``, those of the cylinder's
 further parts, then those of each valve at work, in SI."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 """Operating points: steady motions of one cylinder, of a working function at a posture, payload
 and speed, with all other joints held (SPEC 3), and the state of the plant in them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -41,10 +39,8 @@ from ehbench.parts.valve import valve_settle
 from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
+from ehbench.vocabulary import InputError, Message, message, setting
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this

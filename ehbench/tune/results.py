@@ -1,7 +1,5 @@
 """What tuning leaves: the gains, and what they rest on at every operating point."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 

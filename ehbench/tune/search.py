@@ -1,7 +1,5 @@
 """The search for a law, its washouts and off-side gain, and for the gain of its feedback."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,9 +14,8 @@ from ehbench.tune.linear import faster
 from ehbench.tune.loop import Law, Loop, margins, violations
 from ehbench.tune.results import Alternative
 from ehbench.tune.study import SteadyMotion
+from ehbench.vocabulary import Message, message, setting
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

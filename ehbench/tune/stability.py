@@ -2,8 +2,6 @@
 exact delay says how far. Where poles and zeros nearly cancel, the roots of polynomials are rounding
 errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 
 @dataclass(frozen=True)

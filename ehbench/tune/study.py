@@ -1,7 +1,5 @@
 """What gains are tuned on: operating points over postures, payloads, functions and speeds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -28,11 +26,9 @@ from ehbench.tune.operating_point import (
     operating_point,
 )
 from ehbench.tune.results import Curves
+from ehbench.vocabulary import VOCABULARY, InputError, InsufficientData, Message, message
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import read_value
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import VOCABULARY
 
 NONE = "none"  # the payload's name where there is none
 POSTURES = 41  # of the curves of equivalent mass and gravity

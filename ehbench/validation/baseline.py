@@ -7,8 +7,6 @@ y counts from its level before the first command, u_j are the commands of the ch
 each direction for itself: the two areas of a cylinder differ. Where it predicts a channel better
 than the model, the model lacks what the logs hold."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -19,8 +17,7 @@ from ehbench.data.record import Record, block_averages
 from ehbench.preprocessing.observations import column
 from ehbench.signals import series
 from ehbench.validation.results import BlackBox, LogResult
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, setting
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Requirements on a model on a log: thresholds compared with what was reached."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,8 +10,7 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.preprocessing.observations import stood_for
 from ehbench.validation.results import ChannelResult, Check, Ring, Sweep, Transient
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import Message, message, setting
 
 
 @dataclass(frozen=True)

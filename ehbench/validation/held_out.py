@@ -5,8 +5,6 @@ format or with more samples has the same rows; another window of the same log ha
 was rounded or put on another time base has no such rows, but its noise is that of the fitted
 samples, where a second recording of the same test has noise of its own."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.validation.results import Overlap
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import setting
 
 MAD = 1.4826  # standard deviation of normal noise over the median of its size
 
@@ -170,7 +168,6 @@ def _same_blocks(
 
 
 def _rms(y: np.ndarray) -> np.ndarray:
-    """Of each channel, the root of its mean square."""
     return np.sqrt(np.mean(y**2, axis=0))
 
 

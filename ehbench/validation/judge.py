@@ -4,8 +4,6 @@ is compared with the recording channel by channel.
 Where a log starts, its recording says within what its first samples leave open
 (`preprocessing.initial_states.follow_recording`). Errors are simulated minus recorded, in SI."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -43,11 +41,10 @@ from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
+from ehbench.vocabulary import Message, Progress, message, setting
 from ehbench.vocabulary.errors import EhbenchError, FmuError, InputError, LogError, placed
-from ehbench.vocabulary.messages import Message, message, of_log
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.messages import of_log
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.text import numbered
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")
@@ -291,7 +288,6 @@ def models_of(
 
 
 def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
-    """Why the model is rejected."""
     for log in results:
         if log.failure:
             yield message("validation.not_simulated", log=log.name, reason=log.failure)
@@ -397,7 +393,6 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
 
 
 def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
-    """Why a log does not count, if it does not."""
     spans = [f"{item.start:g} … {item.stop:g} s (of {item.log})" for item in log.overlap]
     if spans:
         yield message("validation.samples_fitted", spans=", ".join(spans))

@@ -14,9 +14,7 @@ from ehbench.preprocessing.observations import column, noise_of
 from ehbench.preprocessing.plausibility import LIMITED, at_limit
 from ehbench.signals import series
 from ehbench.validation.results import ChannelResult, Correlation
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary import message, quantity, setting
 
 
 @dataclass(frozen=True)

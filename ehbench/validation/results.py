@@ -15,9 +15,7 @@ from ehbench.frequency_response.response import Curve
 from ehbench.preprocessing.observations import rings_clearly
 from ehbench.runs.rundir import read_json
 from ehbench.signals.series import Ringing
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary import InputError, message, quantity
 from ehbench.vocabulary.terms import BEYOND
 
 

@@ -3,8 +3,6 @@
 Both are estimated alike (`ehbench.frequency_response`), from the command to a channel of its
 cylinder, so windows, averages and laws that are not linear act alike on both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,9 +23,7 @@ from ehbench.preprocessing.observations import least_change
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Sweep
 from ehbench.validation.transients import OSCILLATES, steps_only
-from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, EhbenchError, setting
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 A window is judged only where something rings: its command stands for several periods, the
 oscillation decays, and halves of the window show the same frequency."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +16,8 @@ from ehbench.preprocessing.observations import least_change, noise_of
 from ehbench.signals import series
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message, setting
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)

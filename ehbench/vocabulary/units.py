@@ -200,7 +200,6 @@ def is_share(unit: str) -> bool:
 
 
 def _unwrapped(text: str) -> str:
-    """A text without the brackets or quotes about it."""
     plain = text.strip()
     while len(plain) > 1 and plain[0] + plain[-1] in ("[]", "()", "{}", '""', "''"):
         plain = plain[1:-1].strip()

@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -316,7 +316,7 @@ def test_closes_under_every_controller_and_says_which_function_spent_it(name, la
         assert total == pytest.approx(whole, rel=1e-9), word
     net = limits.travel_out - limits.travel_in
     assert sum(one.way for one in limits.beyond) == pytest.approx(net, abs=1e-9)
-    json.dumps(ledger.as_json() | limits.as_json(), allow_nan=False)
+    json.dumps(ledger.as_json() | asdict(limits), allow_nan=False)
 
 
 def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_without_regeneration(
@@ -665,7 +665,7 @@ def test_bounds_are_those_of_the_spec():
     hanging = bounds(rig, up_and_down(rig, "boom", 0.1, -2000.0), "boom")
     assert hanging.carries == "rod" and hanging.seventh is None
     assert hanging.six == pytest.approx(pressure * head * 0.1, rel=1e-3)
-    json.dumps(found.as_json(), allow_nan=False)
+    json.dumps(asdict(found), allow_nan=False)
 
 
 def test_bounds_against_a_trial():

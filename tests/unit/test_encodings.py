@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ehbench.data.readers import open_source
-from ehbench.data.readers.formula import evaluate
+from ehbench.data.readers.mdf import evaluate
 from ehbench.vocabulary.errors import LogError
 
 NAN = float("nan")

@@ -12,8 +12,8 @@ import ehbench
 from ehbench import workflow
 from ehbench.config.recipe import load_rig
 from ehbench.export.linear import state_spaces
-from ehbench.export.matlab import matlab_files
 from ehbench.export.mechanism import mjcf, urdf
+from ehbench.export.tables import matlab_files
 from ehbench.physics import arm
 from ehbench.plant.model import Model
 from tests.shared import RIGS, shipped

@@ -31,10 +31,7 @@ FLOORS = [
 RANK = {name: rank for rank, names in enumerate(FLOORS) for name in names}
 # the virtual bench's numbers must not reach what is judged on its logs: who opens one, and no other
 BENCH = ("machines.virtual", "machines.registry")
-BENCH_READERS = {
-    *("machines/registry.py", "machines/variation.py"),
-    "trial/preparation.py",
-}
+BENCH_READERS = {"machines/registry.py", "trial/preparation.py"}
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if "__pycache__" not in p.parts)
 
 

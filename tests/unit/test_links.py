@@ -12,10 +12,9 @@ from ehbench.config.recipe import Fault, TrialRecipe
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import identify_hydraulics
-from ehbench.links.arming import run_remote, stopping_distances, token_of
+from ehbench.links.arming import estimated, exchanges_in, run_remote, stopping_distances, token_of
 from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
-from ehbench.links.clock import estimated, exchanges_in
 from ehbench.links.layout import Layout, csv_text
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import Quality

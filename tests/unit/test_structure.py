@@ -15,11 +15,11 @@ from ehbench import diagnosis
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis import Case, ask, pins
+from ehbench.diagnosis import Case, ask, recordings
 from ehbench.diagnosis.faults import COMMANDS, DRIFT, LATE, SENSORS, TABLE, hypotheses, hypothesis
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
-from ehbench.diagnosis.follows import followed
+from ehbench.diagnosis.recordings import followed
 from ehbench.identification.fixed_numbers import counts_on
 from ehbench.parts.fault import Amount
 from ehbench.parts.fault import Fault as Row
@@ -299,11 +299,11 @@ def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
 
 
 def test_the_log_that_is_farthest_off_tells_of_pins(monkeypatch):
-    monkeypatch.setattr(pins, "off_pins", lambda record, model: record)
+    monkeypatch.setattr(recordings, "off_pins", lambda record, model: record)
     model = Stub(rig=shipped("crane_proportional"))
     offs = ({"lift": 0.01}, {}, {"lift": -0.02}, {"lift": 0.015})
     logs: Any = [Stub(name=f"log {k}", record=off, model=model) for k, off in enumerate(offs)]
-    ((name, sentence, _, off),) = pins.disagreements(logs)
+    ((name, sentence, _, off),) = recordings.disagreements(logs)
     assert (name, off) == ("lift", -0.02) and "of log 2 disagree with the pins by 20" in sentence
 
 

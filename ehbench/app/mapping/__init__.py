@@ -32,10 +32,7 @@ from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import replacing, write_text
 from ehbench.signals.oddities import oddities
 from ehbench.signals.timestamps import resolution, unrounded, unwrapped
-from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import to_si
+from ehbench.vocabulary import VOCABULARY, EhbenchError, InputError, message, to_si
 
 _SEPARATOR_WORDS = {
     ",": "commas",

@@ -19,10 +19,8 @@ from ehbench.data.readers import Source, SourceColumn, SourceTable
 from ehbench.data.readers.clock import since_1970
 from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.signals.timestamps import rate_of_rounded, resolution, unrounded, unwrapped
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.units import from_si, is_of, is_share, named_unit, to_si
+from ehbench.vocabulary import VOCABULARY, from_si, message, setting, to_si
+from ehbench.vocabulary.units import is_of, is_share, named_unit
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
 CERTAIN, LIKELY, UNDECIDED = "certain", "likely", "undecided"

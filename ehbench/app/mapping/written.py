@@ -10,7 +10,7 @@ from ehbench.data.rates import apart
 from ehbench.data.readers import Source, SourceColumn
 from ehbench.report.style import ACCENT, MUTED, canvas, thin
 from ehbench.signals.timestamps import rate_of_rounded
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _SEPARATOR_KEYS = {"|": "pipe", "\t": "tab", " ": "space"}
 
@@ -35,7 +35,6 @@ def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
 
 
 def _dialect(source: Source) -> list[str]:
-    """The keys of a text file."""
     result = source.dialect
     if result.separator is None:
         return []

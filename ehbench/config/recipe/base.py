@@ -14,10 +14,8 @@ from pydantic import BeforeValidator, Field
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.toml import as_table, line_of
 from ehbench.runtime.disk import impossible
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import InputError, message, shortened
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
 
 # what a machine carries, by the name that its rig file has for it; ``none`` is no payload
 Payload = Annotated[str | None, BeforeValidator(lambda raw: None if raw == "none" else raw)]

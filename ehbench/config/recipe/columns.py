@@ -12,11 +12,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from ehbench.config.recipe.toml import as_table, lines_of, read_toml, validated
+from ehbench.vocabulary import VOCABULARY, Quantity, message, quantity, to_si
 from ehbench.vocabulary.errors import EhbenchError, InputError, UnitError
 from ehbench.vocabulary.fields import FileModel, Q, Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity, meant, quantity
-from ehbench.vocabulary.units import factor, product, split_number, to_si, zero_of
+from ehbench.vocabulary.quantities import meant
+from ehbench.vocabulary.units import factor, product, split_number, zero_of
 
 LEAVE_OUT = "leave out"
 READING_WORDS = ("valve", "direction", "trial", "method", "note")  # of flowmeter readings
@@ -136,7 +136,6 @@ def _through(
 
 
 def _column(raw: Any) -> Any:
-    """``boom.p_head [bar]`` as a table."""
     if not isinstance(raw, str):
         return raw
     channel, bracket, unit = raw.partition("[")

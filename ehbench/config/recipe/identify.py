@@ -7,9 +7,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from ehbench.config.recipe.base import ByParameter, DataFiles, Recipe, ReplayedFiles, Supplied, Tied
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
+from ehbench.vocabulary import message, shortened
 from ehbench.vocabulary.fields import FileModel, Q, Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
 
 
 def _samples(given: object) -> object:

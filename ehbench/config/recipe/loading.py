@@ -7,8 +7,7 @@ from typing import Any, Literal
 from ehbench.config.recipe.base import Recipe
 from ehbench.config.recipe.toml import line_of, read_text, read_toml, table_of, validated
 from ehbench.config.rig import Rig
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary import InputError, shortened
 
 
 def load_rig(path: str | Path) -> Rig:

@@ -6,10 +6,8 @@ from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_vali
 
 from ehbench.config.recipe.toml import as_list
 from ehbench.config.rig.names import second
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message, quantity
 from ehbench.vocabulary.fields import FileModel, Value, read_value, write_value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
 
 ESTIMATE = "estimate"
 WORDS = ("offset", "scale", "lag", "delay")

@@ -7,8 +7,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from ehbench.config.recipe.base import Recipe, dotted
 from ehbench.config.recipe.toml import as_list, as_table
 from ehbench.config.rig.names import second
+from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel, Q, Value
-from ehbench.vocabulary.messages import message
 
 Number = str | int | float
 LAWS = {  # law: the two numbers that give it

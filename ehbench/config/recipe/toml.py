@@ -11,10 +11,9 @@ from typing import Any, get_args
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from ehbench.runtime.disk import read_bytes
-from ehbench.vocabulary.errors import InputError, nearest, raise_all
+from ehbench.vocabulary import InputError, Message, message, shortened
+from ehbench.vocabulary.errors import nearest, raise_all
 from ehbench.vocabulary.fields import FROM_FILE, FileModel
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.text import shortened
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(
@@ -271,13 +270,11 @@ def _untagged(table: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any
 
 
 def _field(model: Any, key: Any) -> Any:
-    """The field of a model that a file calls by ``key``."""
     fields = getattr(model, "model_fields", {}).items()
     return next((field for name, field in fields if key in (name, field.alias)), None)
 
 
 def _models(annotation: Any) -> list[Any]:
-    """The models that an annotation holds."""
     if isinstance(annotation, type) and issubclass(annotation, FileModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]
@@ -325,7 +322,6 @@ def _place_in(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
 
 
 def _header(location: tuple[Any, ...]) -> str:
-    """The header of a table in TOML."""
     return ".".join(part for part in location if isinstance(part, str))
 
 

@@ -14,8 +14,8 @@ from ehbench.config.recipe.toml import as_list
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.config.rig.names import second
 from ehbench.control import LAW_NAMES
+from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
-from ehbench.vocabulary.messages import message
 
 
 class Command(FileModel):

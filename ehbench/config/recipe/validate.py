@@ -9,10 +9,9 @@ from ehbench.config.recipe.base import Recipe, ReplayedFile, Supplied, Tied
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
 from ehbench.config.recipe.toml import as_table
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary import VOCABULARY, InputError, message, quantity
 from ehbench.vocabulary.fields import FileModel, Q, Value, read_value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, meant, quantity
+from ehbench.vocabulary.quantities import meant
 
 
 def _or_false(expected: str) -> BeforeValidator:

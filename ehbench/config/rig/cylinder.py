@@ -15,9 +15,8 @@ from ehbench.parts.friction.law import FrictionTable
 from ehbench.parts.line import Line
 from ehbench.parts.mount import Mount
 from ehbench.parts.sway import Sway
+from ehbench.vocabulary import VOCABULARY, message
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
 
 if TYPE_CHECKING:
     Friction = FrictionTable

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from ehbench.config.rig.names import Name
+from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel, Q, Value
-from ehbench.vocabulary.messages import message
 
 _ROUNDED = 1e-2  # of an inertia that a drawing gives in two or three digits
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel
 
+from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel
-from ehbench.vocabulary.messages import message
 
 NODES = ("supply", "tank", "head", "rod")
 

@@ -20,13 +20,12 @@ from ehbench.config.rig.supply import LoadSensing, LowRail, Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
-from ehbench.vocabulary import units
+from ehbench.vocabulary import VOCABULARY, Quantity, from_si, message, plural, units
 from ehbench.vocabulary.errors import InputError, UnitError, nearest
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars
-from ehbench.vocabulary.messages import digits, message
-from ehbench.vocabulary.notebook import label, plural, shown, table
-from ehbench.vocabulary.quantities import VOCABULARY, Quantity
-from ehbench.vocabulary.units import factor, from_si
+from ehbench.vocabulary.messages import digits
+from ehbench.vocabulary.notebook import label, shown, table
+from ehbench.vocabulary.units import factor
 
 if TYPE_CHECKING:
     Dynamics = DynamicsTable

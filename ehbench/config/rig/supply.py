@@ -5,8 +5,8 @@ from typing import Annotated, Any, Self
 from pydantic import model_validator
 
 from ehbench.config.rig.names import Misplaced
+from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel, Q, Value
-from ehbench.vocabulary.messages import message
 
 _HIGHEST_PRESSURE = 1.0e8  # [Pa]
 

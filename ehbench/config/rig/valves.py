@@ -11,11 +11,8 @@ from pydantic import Field, field_validator, model_validator
 from ehbench.config.rig.names import Misplaced, Name, second
 from ehbench.parts.edge import FixedLawFields, FixedLawName, LawFields, LawName, edge_law
 from ehbench.parts.edge.law import EdgeLaw
-from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import UnitError
+from ehbench.vocabulary import VOCABULARY, UnitError, message, units
 from ehbench.vocabulary.fields import FileModel, Q, Value
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
 
 
 class Rated(FileModel):

@@ -5,7 +5,5 @@ The MCAP holds one topic a rate group, messages in little-endian CDR of float64 
 a ros2msg schema. Every chunk repeats its schemas and channels and carries a CRC, so each one can be
 read without the others."""
 
-from __future__ import annotations
-
 from ehbench.data.logs.checks import check_record
 from ehbench.data.logs.writing import CHUNK_SIZE, LogWriter, write_log

@@ -1,7 +1,5 @@
 """What a log must be: known channels with units, a time that goes on, plausible values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -11,10 +9,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.data.record import Record
-from ehbench.vocabulary.errors import LogError, UnitError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY, quantity
-from ehbench.vocabulary.units import from_si, to_si
+from ehbench.vocabulary import VOCABULARY, LogError, UnitError, from_si, message, quantity, to_si
 
 LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
 

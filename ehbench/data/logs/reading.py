@@ -1,7 +1,5 @@
 """MCAP logs read into a `Record`: SI, with notes on what is missing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +9,7 @@ from ehbench.data.logs.layout import MAGIC
 from ehbench.data.logs.salvage import Salvage, Stream
 from ehbench.data.record import Record, Window
 from ehbench.runtime.disk import DATA, read_bytes
-from ehbench.vocabulary.errors import LogError, placed
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.units import to_si
+from ehbench.vocabulary import LogError, message, placed, quantity, to_si
 
 
 def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> Record:

@@ -29,8 +29,7 @@ from ehbench.data.logs.layout import (
     unpack,
 )
 from ehbench.data.record import floats
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary import VOCABULARY, message
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
@@ -180,7 +179,6 @@ class Salvage:
         return nxt
 
     def _lose(self, first: int, last: int, why: str) -> None:
-        """Note bytes that are lost."""
         size = len(self.data)
         self.damage.append(message("data.bytes_lost", first=first, last=last, size=size, why=why))
 

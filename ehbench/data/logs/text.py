@@ -1,7 +1,5 @@
 """CSV logs: a header that names channels with their units, and rows of numbers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +7,7 @@ import numpy as np
 from ehbench.data.logs.checks import check_record, inside, label_of
 from ehbench.data.record import Record, Window
 from ehbench.data.text import is_hole, number, text_table
-from ehbench.vocabulary.errors import InputError, LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.units import to_si
+from ehbench.vocabulary import InputError, LogError, message, quantity, to_si
 
 _EXAMPLE = "t [s],boom.q [rad]"
 

@@ -30,9 +30,7 @@ from ehbench.data.logs.layout import (
 )
 from ehbench.data.record import Record
 from ehbench.runtime.disk import replacing
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary import LogError, message, quantity
 from ehbench.vocabulary.text import unlike
 
 if TYPE_CHECKING:

@@ -4,8 +4,6 @@ A reader says what stands in a file and changes nothing: names, units and time b
 own; a map of columns makes channels of them (`ehbench.data.channels`). To add a format, write one
 file here with a function ``read(path, dialect) -> Source`` and a row in ``READERS``."""
 
-from __future__ import annotations
-
 import codecs
 import re
 import stat
@@ -21,10 +19,8 @@ from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTabl
 from ehbench.data.readers.transfer import received, send
 from ehbench.runtime.confined import Bounds, Ended, confined
 from ehbench.runtime.memory import SHARE, available
-from ehbench.vocabulary.errors import EhbenchError, LogError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import listed, shortened_path
+from ehbench.vocabulary import EhbenchError, LogError, listed, message, setting
+from ehbench.vocabulary.text import shortened_path
 
 
 class Reader(NamedTuple):

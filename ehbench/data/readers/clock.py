@@ -1,7 +1,5 @@
 """Times as text, as moments and as counts of days or seconds: seconds since the first."""
 
-from __future__ import annotations
-
 import calendar
 import re
 from collections.abc import Iterable, Sequence
@@ -11,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import Message, message
 
 _DAY, _HOUR = 86400, 3600
 _CLOCK = r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2})(?:[.,:](\d{1,9}))?\s*([AaPp]\.?[Mm]\.?)?"
@@ -160,7 +158,6 @@ def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:
 
 
 def _stamp(cell: str, slashed: str) -> _Stamp | None:
-    """A text as a time."""
     for order, pattern in _FORMS:
         if (match := pattern.fullmatch(cell)) is None:
             continue

@@ -1,8 +1,6 @@
 """Tables as text, of any dialect: CSV with remarks and rows of facts above the header, a row of
 units below it, decimal commas, times of day, gzip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Excel workbooks, by openpyxl: a table a sheet, its header looked for as in a text file."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Iterable
@@ -14,8 +12,7 @@ from openpyxl import load_workbook
 from ehbench.data.readers.delimited import tables_of
 from ehbench.data.readers.table import Dialect, Source
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 _TAB = "\t"
 _THREE_DECIMALS = re.compile(r"-?\d+\.\d{3}")

@@ -1,7 +1,5 @@
 """JSON by pandas: records, one a line or in an array, or an object of columns; read on as text."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +11,7 @@ from ehbench.data.readers.delimited import tables_of
 from ehbench.data.readers.excel import text_line
 from ehbench.data.readers.table import Dialect, Source
 from ehbench.data.text import lines_of, text_of
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 
 def read(path: Path, dialect: Dialect) -> Source:

@@ -1,8 +1,6 @@
 """Where things stand in lines of text: the marks between cells, the tables, their headers, units
 and first rows of numbers."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -13,9 +11,7 @@ from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers.clock import is_time
 from ehbench.data.readers.table import Dialect, unit_in
 from ehbench.data.text import is_hole, measured, number, split
-from ehbench.vocabulary.errors import LogError, UnitError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary import LogError, UnitError, message, shortened
 from ehbench.vocabulary.units import absolute_unit, factor, named_unit
 
 _REMARKS = ("#", "%", "//")
@@ -407,7 +403,6 @@ def sections_of(
 
 
 def _is_of_words(line: str, marks: tuple[str, str]) -> bool:
-    """Whether the cells of a line are words, not all alike."""
     cells = {cell for cell in split(line, marks[0]) if cell}
     return len(cells) > 1 and all(_kind(cell, marks[1]) == "words" for cell in cells)
 

@@ -1,8 +1,6 @@
 """MAT files up to version 7, by SciPy: vectors, matrices and structs of numbers, with the names and
 units that Simulink, ControlDesk and PicoScope write beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
@@ -14,7 +12,7 @@ from scipy.io import loadmat, whosmat
 
 from ehbench.data.readers.table import Dialect, Gathered, Source, column_names
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _DEEPEST = 8  # structs in structs
 _PACKED = 20  # numbers that a byte of a packed file may stand for
@@ -103,5 +101,4 @@ def _add_struct(gathered: Gathered, place: str, name: str, content: Mapping[str,
 
 
 def _is_vector(item: Any) -> bool:
-    """Whether a field holds several numbers."""
     return isinstance(item, np.ndarray) and item.dtype.kind in "fiub" and item.size > 1

@@ -1,7 +1,10 @@
-"""MDF 3 and 4 measurements, by asammdf: a table a channel group, on the group's own time."""
+"""MDF 3 and 4 measurements, by asammdf: a table a channel group, on the group's own time;
+conversion formulas are worked out without running anything of the file."""
 
-from __future__ import annotations
-
+import ast
+import operator
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,19 +12,37 @@ from typing import Any
 import numpy as np
 from asammdf import MDF
 
-from ehbench.data.readers.formula import evaluate
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, column_names
 from ehbench.data.record import floats
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 DEPTH = 9  # of conversions that refer to conversions; a file with more is damaged
-
 # kinds of channel by version: the group's time, written or counted; samples of different lengths
 _CLOCKS, _VARYING = {3: (1,), 4: (2, 3)}, {3: (), 4: (1,)}
 # kinds of conversion by version
 _RATIONAL, _RANGES = {3: 9, 4: 2}, {3: -1, 4: 6}
+_FORMULA_LIMIT = 400  # characters; every step of a formula costs a pass over all samples
+_VARIABLES = ("X", "X1")  # the readings
+_TOKEN = re.compile(r"[A-Za-z]\w*|(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?!\w)|[-+*/^(), ]", re.ASCII)
+_OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+}
+# name: function, arguments; "log" is none of them: it means ln here and log10 there
+_FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
+    **{name: (getattr(np, name), 1) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+    **{name: (getattr(np, name), 1) for name in ("exp", "log10", "sqrt", "abs")},
+    **{f"a{name}": (getattr(np, f"arc{name}"), 1) for name in ("sin", "cos", "tan")},
+    **{f"arc{name}": (getattr(np, f"arc{name}"), 1) for name in ("sin", "cos", "tan")},
+    "ln": (np.log, 1),
+    "pow": (np.power, 2),
+}
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -152,3 +173,41 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
 def _version(channel) -> int:
     """Of the format that a block is of, 3 or 4."""
     return 4 if type(channel).__module__.endswith("v4_blocks") else 3
+
+
+def evaluate(text: str, values: np.ndarray) -> np.ndarray:
+    """What a formula such as ``25*(X1-0.4)`` makes of readings, NaN where that is no finite number.
+
+    Raises:
+        LogError: the formula has anything else in it than numbers, operators and functions.
+    """
+    calls = set(re.findall(r"[a-z]+(?=\s*\()", text.lower()[:_FORMULA_LIMIT]))
+    key = "log" if "log" in calls else "condition" if calls & {"if", "iif"} else "not_understood"
+    refusal = LogError(message(f"data.formula_{key}", formula=text))
+    if len(text) > _FORMULA_LIMIT or _TOKEN.sub("", text):
+        raise refusal
+    readings = values.astype(float)
+
+    def value_of(node: ast.expr) -> Any:
+        match node:
+            case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+                return np.float64(number)
+            case ast.Name() if node.id in _VARIABLES:
+                return readings
+            case ast.UnaryOp() if type(node.op) in _OPERATORS:
+                return _OPERATORS[type(node.op)](value_of(node.operand))
+            case ast.BinOp() if type(node.op) in _OPERATORS:
+                return _OPERATORS[type(node.op)](value_of(node.left), value_of(node.right))
+            case ast.Call(func=ast.Name(id=name), keywords=[]) if name.lower() in _FUNCTIONS:
+                function, count = _FUNCTIONS[name.lower()]
+                if len(node.args) == count:
+                    return function(*map(value_of, node.args))
+        raise refusal
+
+    try:
+        tree = ast.parse(text.strip().replace("^", "**"), mode="eval")
+        with np.errstate(all="ignore"):
+            result = np.broadcast_to(value_of(tree.body), readings.shape).astype(float)
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError):
+        raise refusal from None
+    return np.where(np.isfinite(result), result, np.nan)

@@ -1,8 +1,6 @@
 """NumPy's archives and arrays: a column for each array, or several for a matrix or records; a table
 for the arrays of one folder and length."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import numpy as np
 
 from ehbench.data.readers.table import Dialect, Gathered, Source
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 
 def read(path: Path, dialect: Dialect) -> Source:

@@ -1,7 +1,5 @@
 """Parquet tables, by pyarrow."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,7 @@ import pyarrow.parquet as pq
 
 from ehbench.data.readers.table import Dialect, Gathered, Source, unit_of_attributes
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 
 def read(path: Path, dialect: Dialect) -> Source:

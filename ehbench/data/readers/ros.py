@@ -1,8 +1,6 @@
 """ROS 2 bags and MCAP files with ROS messages, by rosbags: a table a topic, a column each number
 in its messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -15,7 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _LONGEST = 64  # numbers in a list of a message
 _DEEPEST = 6  # messages in messages

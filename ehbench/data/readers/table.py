@@ -17,9 +17,8 @@ import numpy as np
 from ehbench.data.readers.clock import moments, nanoseconds
 from ehbench.data.record import floats
 from ehbench.data.text import is_hole
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.text import listed, numbered, shortened
+from ehbench.vocabulary import LogError, Message, listed, message, shortened
+from ehbench.vocabulary.text import numbered
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _PLAIN = "m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|deg|°C?|m?m/s|rpm|dps"

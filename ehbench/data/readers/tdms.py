@@ -1,7 +1,5 @@
 """TDMS files of LabVIEW, by npTDMS: a table for the channels of a group that have one time base."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,8 +13,7 @@ from ehbench.data.readers.clock import moments
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.data.record import floats
 from ehbench.runtime.memory import refuse_beyond
-from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import LogError, message
 
 _SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
 

@@ -1,8 +1,6 @@
 """What a reader gives, from a child process to the one that waits for it: facts as JSON, then the
 numbers as they lie in memory. Nothing of it is code."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
@@ -12,8 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
-from ehbench.vocabulary.errors import EhbenchError, LogError
-from ehbench.vocabulary.messages import Message
+from ehbench.vocabulary import EhbenchError, LogError, Message
 
 _CLASSES = {kind.__name__: kind for kind in (Source, SourceTable, SourceColumn, Dialect)}
 _WIDTH = np.dtype(float).itemsize

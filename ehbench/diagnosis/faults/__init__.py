@@ -5,8 +5,6 @@ stand here. `hypotheses` applies the rows to a rig and its logs. Residual diagno
 to fixed parameters and ``--suggest`` read what it gives, and no other list of faults exists.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any

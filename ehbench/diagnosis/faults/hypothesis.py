@@ -17,9 +17,9 @@ from ehbench.data.record import Record
 from ehbench.diagnosis.faults.scales import Scales
 from ehbench.parts.fault import Amount, Fault
 from ehbench.preprocessing.sensors import Term
+from ehbench.vocabulary import Z95, Message, message
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import Message, message, templates
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.messages import templates
 
 # how sure a number of the rig file is by its source, the least sure first
 CERTAINTY = ("assumed", "restored", "companion", "datasheet", "printed", "identified")
@@ -261,7 +261,6 @@ class Hypothesis:
         return message("faults.free", **fields)
 
     def _fields(self, rig: Rig, delta: float) -> dict[str, Any]:
-        """What its messages name."""
         number = next((n for n in self.numbers if n.unit != 0.0), None)
         channel, word, unit = self.readings[0] if self.readings else ("", "", 0.0)
         fields = {

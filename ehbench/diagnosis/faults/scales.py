@@ -1,7 +1,5 @@
 """What amounts of the fault table are measured by: forces, pressures, commands of a machine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cached_property

@@ -9,6 +9,4 @@ noisy and coarse. Its parameters are read by nothing but itself.
 `plant` says what it is made of, `laws` how it moves, `drawing` what numbers it has, `machine` is
 what a trial drives."""
 
-from __future__ import annotations
-
 from ehbench.machines.virtual.machine import NAME, VirtualMachine, bench_of

@@ -28,9 +28,8 @@ from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
-from ehbench.vocabulary.errors import InputError, placed
+from ehbench.vocabulary import VOCABULARY, InputError, placed
 from ehbench.vocabulary.fields import Value, read_value
-from ehbench.vocabulary.quantities import VOCABULARY
 
 
 class _Given:
@@ -156,8 +155,6 @@ def _tune(
 
 
 class _Seeded(NamedTuple):
-    """What a bench is drawn for."""
-
     recipe: BenchRecipe
     model: Model
     seed: int
@@ -236,7 +233,6 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
 
 
 def _lines(of: _Seeded) -> np.recarray:
-    """The model's lines, full of the bench's oil."""
     lines = of.model.plant.lines.copy()
     lines.air, lines.polytropic = _air(of)
     if lines.size and _air(of)[0] > 0.0:
@@ -245,7 +241,6 @@ def _lines(of: _Seeded) -> np.recarray:
 
 
 def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
-    """(edges, their curves)."""
     plant, names = of.model.plant, of.model.layout.edges
     edges, curves = table(len(names), BENCH_EDGE), table(2 * len(names), CURVE)
     metering = [(edge, valve) for _, valve, edge in of.model.rig.edges()]
@@ -280,7 +275,6 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
 def _valves(
     of: _Seeded, edges: np.recarray, curves: np.recarray
 ) -> tuple[np.recarray, np.recarray]:
-    """(valves with their drivers, the elements of their dynamics)."""
     recipe, rig = of.recipe, of.model.rig
     modelled = of.model.plant.valves
     valves = table(modelled.shape[0], BENCH_VALVE)
@@ -330,7 +324,6 @@ PERFECT = (0.0, 0.0, 0.0, 0.0)  # lag, noise, resolution and zero offset of a pe
 
 
 def _sensors(of: _Seeded) -> np.recarray:
-    """Lag, noise, resolution and zero offset of every raw channel."""
     slide = of.model.rig.mechanism.kind == "slide"
     rows: list[tuple[float, ...]] = []
     for name in (*of.model.layout.cylinders, "supply"):

@@ -1,7 +1,5 @@
 """The virtual bench's own laws: all that a model leaves out."""
 
-from __future__ import annotations
-
 import math
 
 from ehbench.machines.virtual.plant import A_CYLINDER, FILTER, LINES, RAW, VirtualPlant

@@ -31,7 +31,7 @@ from ehbench.plant.layout import layout
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.compiled import bound, kernel
-from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary import InputError, SimulationError
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]

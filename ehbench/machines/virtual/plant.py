@@ -4,8 +4,6 @@ State, one flat array: the states of the model's plant, the pump's flow; then me
 valve, sensor lags per raw channel, speed filter (3) per cylinder, delay line, its position. Raw
 channels: ``q, x, p_head, p_rod`` of each cylinder, then ``p_supply, p_tank``."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

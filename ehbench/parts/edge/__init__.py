@@ -3,8 +3,6 @@ file.
 
 To add a law: write its file after ``orifice.py``, name it in LAWS and its keys in LawFields."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Literal
 
 from ehbench.parts.edge import check, compensated, flow_control, measured, orifice, pump, saturating

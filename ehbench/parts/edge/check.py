@@ -1,7 +1,5 @@
 """A check valve, and one that a pilot pressure opens against its spring and against the flow."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """An edge behind a pressure compensator: flow goes with opening, and hardly with the drop."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """An edge behind a compensator that holds its flow above its drop, and damps nothing there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from ehbench.parts.edge.compensated import FAULTS as LIKE

@@ -1,7 +1,5 @@
 """What the flow law of a metering edge is made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

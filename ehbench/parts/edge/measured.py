@@ -1,7 +1,5 @@
 """An edge on its measured flow map; in reverse on a map of its own, else on the mirrored one."""
 
-from __future__ import annotations
-
 import math
 
 from ehbench.parts.edge.law import EdgeLaw

@@ -1,7 +1,5 @@
 """A sharp-edged orifice: flow goes with opening and the square root of the drop."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """A counterbalance, overcentre or preload valve in series with a metering edge."""
 
-from __future__ import annotations
-
 from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 

@@ -1,7 +1,5 @@
 """A pump between two nodes: a displacement at a speed, of either sign, and what slips back."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from ehbench.parts.edge.law import EdgeLaw

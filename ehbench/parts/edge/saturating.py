@@ -1,7 +1,5 @@
 """An orifice whose area stops growing at an opening: a spool on its stop, a window fully open."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

@@ -2,8 +2,6 @@
 
 To add one: write its file after ``stribeck.py`` (``lugre.py`` has a state) and name it in LAWS."""
 
-from __future__ import annotations
-
 from ehbench.parts.friction import coulomb_viscous, directional, lugre, stribeck
 from ehbench.runtime.compiled import choice
 

@@ -3,8 +3,6 @@
 A smoothing speed replaces sticking by fast creep: at rest the law acts as a damper of
 coulomb/smoothing [N·s/m]."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

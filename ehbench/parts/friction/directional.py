@@ -3,8 +3,6 @@
 A rod seal under pressure from one side drags more when it moves with the pressure than against it.
 Through zero speed both values are smoothed as in `coulomb_viscous`."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

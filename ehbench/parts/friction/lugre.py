@@ -6,8 +6,6 @@ Canudas de Wit, Olsson, Åström & Lischinsky 1995. At rest the bristles are a s
 σ0; once a speed has lasted they bear g. What they hold is σ0 z²/2, what they lose ``F v − σ0 z ż``;
 that is ≥ 0 where σ1 |v| < 4 g."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Annotated, Literal

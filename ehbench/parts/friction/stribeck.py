@@ -3,8 +3,6 @@
 Like Coulomb friction it creeps at rest instead of sticking; its peak comes close to
 ``friction_static`` where ``stribeck_speed`` lies well above SMOOTHING."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from ehbench.parts.fault import Amount, Fault

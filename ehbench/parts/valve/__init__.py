@@ -4,8 +4,6 @@ the opening, a file an element.
 To add an element: write its file after ``first_order.py`` and name it in LAWS. A pure delay is none
 of them: those of a valve stand together before its elements, see ``delay.py``."""
 
-from __future__ import annotations
-
 import math
 
 from ehbench.parts.fault import Amount, Fault

@@ -5,8 +5,6 @@ feels the command of ``valve.delay`` ago. Commands are held from tick to tick; w
 whole number of integration steps, a step feels the mean of what is late over it. Its impulse is
 exact then, and changes smoothly with the delay."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal, NamedTuple
 

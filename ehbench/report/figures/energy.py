@@ -7,7 +7,7 @@ from typing import Any
 
 from ehbench.report.style import ACCENT, INK, MUTED, canvas, key, legend, swatch
 from ehbench.report.words import DASH, fixed, number, places_of
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
 _PARTS = {

@@ -9,8 +9,8 @@ from typing import Any, Self
 import numpy as np
 
 from ehbench.report.figures.energy import Ledger, energy_text, half_of, unit_for
-from ehbench.report.saved import grouped
 from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, spread, swatch
+from ehbench.vocabulary import grouped
 from ehbench.vocabulary.terms import MECHANICAL
 
 # colour and name of each group of rows
@@ -65,18 +65,15 @@ class _Flow:
 
 
 def _given(ledger: Ledger) -> float:
-    """What the supply gave [J]."""
     return sum(row["energy"] for row in ledger["rows"] if row["group"] == "supply")
 
 
 def _works(ledger: Ledger) -> dict[str, float]:
-    """The work of every cylinder [J]."""
     rows = (row for row in ledger["rows"] if row["name"] == f"{row['cylinder']}.work")
     return {row["cylinder"]: row["energy"] for row in rows}
 
 
 def _through(ledger: Ledger) -> float:
-    """The energy that went through a trial [J]."""
     return max(_given(ledger), sum(map(abs, _works(ledger).values())), 1e-12)
 
 

@@ -27,6 +27,7 @@ from ehbench.report.style import (
 from ehbench.report.trial_captions import ESTIMATES
 from ehbench.report.words import axis, capital, number, shown, title_of, words
 from ehbench.signals.series import stretches_of
+from ehbench.vocabulary import grouped
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 from ehbench.vocabulary.quantities import GAUGES
 
@@ -40,10 +41,8 @@ LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a01
 
 def moving(rig: Rig, record: Record) -> dict[str, list[str]]:
     """Channels by cylinder that is commanded or travels 1 % of its stroke, else all."""
-    groups: dict[str, list[str]] = {}
-    for channel in record.channels:
-        if "." in channel:
-            groups.setdefault(channel.split(".")[0], []).append(channel)
+    owned = (channel for channel in record.channels if "." in channel)
+    groups = grouped(owned, lambda channel: channel.split(".")[0])
     strokes = {cylinder.name: float(cylinder.stroke) for cylinder in rig.cylinder}
 
     def moves(name: str) -> bool:

@@ -19,7 +19,7 @@ from ehbench.report.stages import (
     validation,
 )
 from ehbench.report.words import words
-from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary import plural
 
 SECTIONS: dict[str, StageReport] = {
     "flow_map": flow_maps.REPORT,

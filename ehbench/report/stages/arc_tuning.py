@@ -17,8 +17,7 @@ from ehbench.report.words import (
     shown,
     words,
 )
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary import message, plural
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 

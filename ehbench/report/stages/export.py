@@ -3,7 +3,7 @@
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.saved import Saved
-from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary import plural
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:

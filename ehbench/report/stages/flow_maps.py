@@ -35,9 +35,7 @@ from ehbench.report.style import (
 )
 from ehbench.report.template import Template
 from ehbench.report.words import axis, measure, number, shown
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95, message, plural
 
 
 def draw(run: Saved, index: FigureIndex) -> None:

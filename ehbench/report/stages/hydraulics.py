@@ -41,8 +41,8 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.terms import BEYOND, CORRELATED, TOLD, Z95
+from ehbench.vocabulary import Z95, message
+from ehbench.vocabulary.terms import BEYOND, CORRELATED, TOLD
 
 DOUBTFUL = "estimated, doubtful"  # as it is sensitive to a fixed number that the logs deny
 

@@ -11,7 +11,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, key, legend, shades
 from ehbench.report.template import Template
 from ehbench.report.words import axis, estimate, number, range_of, shown
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95
 
 
 def draw(run: Saved, index: FigureIndex) -> None:

@@ -13,7 +13,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
 from ehbench.report.words import capital, number, pretty, shown, unit_of, with_error
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary import Z95
 
 # key of response.json, what it is called, its unit there and on the page, the factor between them
 NUMBERS = (

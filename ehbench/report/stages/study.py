@@ -20,7 +20,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, SIMULATED, canvas, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import capital, number, pretty, words
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import message
 
 _ENDED = ("done", "incomplete", "rejected")
 

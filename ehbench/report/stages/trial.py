@@ -24,7 +24,7 @@ from ehbench.report.content import (
 from ehbench.report.energy_tables import Saving, saving_blocks, savings_of
 from ehbench.report.figures import sankey
 from ehbench.report.figures import trial as figures
-from ehbench.report.saved import FigureIndex, Saved, grouped
+from ehbench.report.saved import FigureIndex, Saved
 from ehbench.report.template import Template
 from ehbench.report.trial_captions import (
     ESTIMATES,
@@ -44,7 +44,7 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary import grouped, message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:

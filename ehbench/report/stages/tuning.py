@@ -47,9 +47,8 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
+from ehbench.vocabulary import message, plural
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.notebook import plural
 
 # (key of the figure, key in the file, vocabulary row, title)
 _EQUIVALENTS = (

@@ -26,7 +26,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import number, title_of, words
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary import Message, grouped, message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -38,18 +38,13 @@ def draw(run: Saved, index: FigureIndex) -> None:
         name, status = log["name"], log.get("status", "held_out")
         lead = "Held out" if status == "held_out" else words(status).capitalize()
         draw_comparisons(run, index, name, "validation", lead)
-        by_cylinder: dict[str, list[Table]] = {}
-        for channel in log["channels"]:
-            if channel.get("autocorrelation") is not None:
-                by_cylinder.setdefault(channel["channel"].rpartition(".")[0], []).append(channel)
+        whole = (item for item in log["channels"] if item.get("autocorrelation") is not None)
+        by_cylinder = grouped(whole, lambda item: item["channel"].rpartition(".")[0])
         for cylinder, channels in by_cylinder.items():
             about = {"log": name, "cylinder": cylinder}
             key, title = f"residuals_{name}_{cylinder}", f"Residuals of {words(name)}, {cylinder}"
             draw_correlations(index.add(key, title, caption, "residuals", **about), channels)
-        by_command: dict[str, list[Table]] = {}
-        for sweep in log.get("sweeps", []):
-            by_command.setdefault(sweep["input"], []).append(sweep)
-        for command, result in by_command.items():
+        for command, result in grouped(log.get("sweeps", []), lambda item: item["input"]).items():
             key = f"sweep_{name}_{command.replace('.', '_')}"
             draw_responses(run, index, "sweep", name, key, result, coherence)
 

@@ -22,10 +22,7 @@ from ehbench.report.blocks import digest
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, read_points, read_series
 from ehbench.report.words import capital, number, pretty, shown, title_of, unit_of, words
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
-from ehbench.vocabulary.quantities import quantity
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary import InputError, from_si, message, quantity
 
 MOST = 4_000_000  # numbers in a page; with more, curves are thinned to their extremes
 MARK = '<meta name="generator" content="ehbench show">'
