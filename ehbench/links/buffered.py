@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ehbench.links.client import LINK, LinkMachine
+from ehbench.links.client import LINK, LinkMachine, refuse_other_supply
 from ehbench.links.responder import (
     ALIVE,
     ARMED,
@@ -26,6 +26,7 @@ from ehbench.plant.trim import LowSide
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import quantity
 
 STOPPED_BY = 3  # where the stamp of a row's checks has the machine's reason
 
@@ -70,7 +71,7 @@ class Buffered:
                     return i
                 rows.samples[i] = rows.sample
                 rows.sample[:], acted = played.samples[i], played.applied[i]
-                np.copyto(rows.commands[i], acted, where=np.isfinite(acted))
+                np.copyto(rows.commands[i], acted, where=quantity("command").holds(acted))
             return -1
 
         return through
@@ -96,7 +97,8 @@ class BufferedLink(Buffered, LinkMachine):
             InputError: as `LinkMachine.start`; a closed loop.
         """
         refuse_loop(self.prepared)
-        self.reach(posture, low_side)
+        expected = self.reach(posture, low_side)
+        refuse_other_supply(self, self.prepared.rig, expected, self.sample())
         self._played = None
         return self.sample()
 
@@ -203,7 +205,9 @@ class CardMachine(Buffered):
         """
         refuse_loop(self.prepared)
         self._played = None
-        return self._played_volts(np.tile(self.commands.rest, (10, 1)))[-1]
+        sample = self._played_volts(np.tile(self.commands.rest, (10, 1)))[-1]
+        refuse_other_supply(self, self.prepared.rig, self.prepared.machine.start(posture), sample)
+        return sample
 
     def play(self, table: np.ndarray) -> Played:
         """As `Buffered.play`; the last row is rest."""
