@@ -1,5 +1,6 @@
 """Packets, the states of a target, trials over a link, faults, on loopback or a virtual clock."""
 
+import io
 import math
 import struct
 import sys
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ehbench.app import cli
 from ehbench.config.recipe import Fault, TrialRecipe
 from ehbench.data import read
 from ehbench.data.record import Record
@@ -601,6 +603,11 @@ def test_a_trial_runs_with_the_token_of_rig_recipe_and_link(monkeypatch):
     assert link["late"] == 0 and set(link) >= {"rejected", "clock_offset", "command_delay"}
     assert 0.0 < dry["stopping_distance"]["press"] < 0.02
     assert dry["differences"]["press.x"]["largest"] < 5e-3
+
+
+def test_nobody_to_ask_types_no_token(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    assert cli._typed("it moves", "1A2B3C") == "" and "1A2B3C" in capsys.readouterr().err
 
 
 def test_what_comes_after_a_stop_makes_no_tick_late(monkeypatch):
