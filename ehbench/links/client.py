@@ -315,7 +315,7 @@ class LinkMachine:
         self._sent[self.sequence + 1] = values.copy()
         self.exchange(self._wish, values, HOST if self._wish == STOPPING else NONE)
         self.row += 1
-        self.unheeded += self._acted_otherwise() and not self._halted
+        self.unheeded += self.acted_otherwise() and not self._halted
         stopped, state = 0, self.state
         starting = state == ARMED and self.row <= max(3.0, self.watchdog * self.rate)
         if self._wish == RUNNING and state != RUNNING and not starting:
@@ -327,7 +327,7 @@ class LinkMachine:
         self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)
         return self.sample()
 
-    def _acted_otherwise(self) -> bool:
+    def acted_otherwise(self) -> bool:
         """Whether a command acted that lies beyond the last three packets that the target had: one
         of them acts, by when it reads them, or what its clamps let pass on the way there."""
         had, acted = int(self.newest[ACKNOWLEDGED]), self.applied

@@ -341,7 +341,7 @@ def not_as_tuned(
     """Notes where gains were tuned for another supply, tick or law than the trial's."""
     if tuning is None:
         return ()
-    notes, tick, chosen = _other_supply(rig, tuning), 1.0 / float(recipe.rate), recipe.controller
+    notes, tick, chosen = other_supply(rig, tuning), 1.0 / float(recipe.rate), recipe.controller
     if (tuned := tuning.get("tick")) is not None and _differ(tuned, tick):
         notes += (message("trial.other_tick", tuned=1e3 * tuned, tick=1e3 * tick),)
     if chosen is not None and chosen.kind is not None:
@@ -352,7 +352,8 @@ def not_as_tuned(
     return notes
 
 
-def _other_supply(rig: Rig, tuning: Mapping[str, Any]) -> tuple[Message, ...]:
+def other_supply(rig: Rig, tuning: Mapping[str, Any]) -> tuple[Message, ...]:
+    """A note where gains were tuned on another supply than the trial's."""
     tuned, here = tuning.get("supply"), rig.supply.facts()
     if tuned is None:
         return ()
