@@ -609,9 +609,12 @@ def _run_recipe(
 
 
 def _typed(about: str, token: str) -> str:
-    """What a person types who lets a machine move."""
+    """What a person types who lets a machine move; nothing where there is nobody to ask."""
     print(about, file=sys.stderr)
-    return typer.prompt(f"type {token} to let it move", err=True)
+    try:
+        return typer.prompt(f"type {token} to let it move", err=True)
+    except typer.Abort:
+        return ""
 
 
 def _announced(quiet: bool, url: str) -> bool:

@@ -178,14 +178,17 @@ def run_remote(
     fast = address.mode == "buffered"
     with punctual() as refused:
         result = run(prepared, machine, log, progress, fast, watcher, operator)
-    ticks, warnings, late, counted = result.record.t.size, [], 0, {}
+    record, stop, warnings, counted = result.record, result.facts.stop, [], {}
+    late = unheeded = 0
+    ticks = record.t.size if stop is None else int((record.t <= stop.t).sum())
     if isinstance(machine, LinkMachine):
-        gaps = result.record.channels.get("missed_ticks", np.zeros(1))  # none of a table
-        late = machine.missed + int(gaps.sum())
-        counted = {"rejected": dict(sorted(machine.rejected.items()))}
-        counted |= estimated(exchanges_in(result.record) or machine.exchanges)
-    if late > QUALITY.late * ticks:
-        warnings.append(message("links.late", share=late / ticks, most=QUALITY.late))
+        gaps = record.channels.get("missed_ticks", np.zeros(1))  # none of a table
+        late, unheeded = machine.missed + int(gaps[:ticks].sum()), machine.unheeded
+        counted = {"unheeded": unheeded, "rejected": dict(sorted(machine.rejected.items()))}
+        counted |= estimated(exchanges_in(record) or machine.exchanges)
+    for key, count in (("late", late), ("unheeded", unheeded)):
+        if count > QUALITY.late * ticks:
+            warnings.append(message(f"links.{key}", share=count / ticks, most=QUALITY.late))
     link = {
         "url": url,
         "mode": address.mode,

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ehbench.links.client import LINK, LinkMachine
+from ehbench.links.client import LINK, LinkMachine, refuse_other_supply
 from ehbench.links.responder import (
     ALIVE,
     ARMED,
@@ -22,7 +22,7 @@ from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, violated
 from ehbench.plant.trim import LowSide
 from ehbench.trial.preparation import Prepared
-from ehbench.vocabulary import InputError, message
+from ehbench.vocabulary import InputError, message, quantity
 
 STOPPED_BY = 3  # where the stamp of a row's checks has the machine's reason
 
@@ -67,7 +67,7 @@ class Buffered:
                     return i
                 rows.samples[i] = rows.sample
                 rows.sample[:], acted = played.samples[i], played.applied[i]
-                np.copyto(rows.commands[i], acted, where=np.isfinite(acted))
+                np.copyto(rows.commands[i], acted, where=quantity("command").holds(acted))
             return -1
 
         return through
@@ -93,7 +93,8 @@ class BufferedLink(Buffered, LinkMachine):
             InputError: as `LinkMachine.start`; a closed loop.
         """
         refuse_loop(self.prepared)
-        self.reach(posture, low_side)
+        expected = self.reach(posture, low_side)
+        refuse_other_supply(self, self.prepared.rig, expected, self.sample())
         self._played = None
         return self.sample()
 
@@ -200,7 +201,9 @@ class CardMachine(Buffered):
         """
         refuse_loop(self.prepared)
         self._played = None
-        return self._played_volts(np.tile(self.commands.rest, (10, 1)))[-1]
+        sample = self._played_volts(np.tile(self.commands.rest, (10, 1)))[-1]
+        refuse_other_supply(self, self.prepared.rig, self.prepared.machine.start(posture), sample)
+        return sample
 
     def play(self, table: np.ndarray) -> Played:
         """As `Buffered.play`; the last row is rest."""

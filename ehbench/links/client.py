@@ -4,10 +4,12 @@ import math
 import secrets
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.links.layout import Layout, Mode
 from ehbench.links.responder import (
     ALIVE,
@@ -33,8 +35,9 @@ from ehbench.links.transport import (
     WATCHDOG,
     Link,
 )
-from ehbench.machines.protocol import Posture, Stamp, reason_of
+from ehbench.machines.protocol import Machine, Posture, Stamp, reason_of
 from ehbench.plant.trim import LowSide
+from ehbench.trial.checks import CHECKS
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary import InputError, message, setting
 
@@ -49,7 +52,7 @@ class LinkSettings:
     patience: float = setting(3.0, "s", "until a target must answer, arm or stop", "sixty ramps")
     answer: float = setting(0.5, "s", "until a target must say its layout", "a sixth of patience")
     posture: float = setting(
-        0.03, "", "distance of a stroke from where the trial begins, as a share", "sensors to 1 %"
+        0.03, "", "of a stroke or command by which it is another one", "sensors to 1 %"
     )
     drift: float = setting(2e-4, "", "difference of two clocks' rates", "quartz within 100 ppm")
     rate: float = setting(0.02, "", "difference of the target's rate from the trial's", "jitter")
@@ -59,12 +62,34 @@ class LinkSettings:
 LINK = LinkSettings()
 
 
+def no_samples(url: str, rejected: Mapping[str, int]) -> InputError:
+    """No sample came; ``rejected`` counts the packets that came, by why they did not count."""
+    counts = ", ".join(f"{count} {why}" for why, count in rejected.items()) or "none"
+    return InputError(message("links.silent", url=url, rejected=counts))
+
+
+def refuse_other_supply(
+    machine: Machine, rig: Rig, expected: np.ndarray, sample: np.ndarray
+) -> None:
+    """Refuse a machine whose supply stands far below that of the design's first sample: the pump
+    is off, or its numbers are no pascals.
+
+    Raises:
+        InputError: names both pressures.
+    """
+    place = machine.channels.index("p_supply")
+    if sample[place] * CHECKS.range < expected[place]:  # one without a sensor is no number
+        stands, begins = (rig.shown("p_supply", float(p[place])) for p in (sample, expected))
+        raise InputError(message("links.supply", stands=stands, begins=begins))
+
+
 class LinkMachine:
     """A target behind the protocol of a machine.
 
     A trial's ticks are the target's samples: the host waits for one, answers, and never sleeps.
     ``stamp`` has the target's clock; ``applied`` the commands that acted, as the target says;
-    ``rejected`` counts packets by why they did not count. ``missed`` ticks came without a sample.
+    ``rejected`` counts packets by why they did not count. Until a stop, ``missed`` ticks came
+    without a sample, and in ``unheeded`` ticks acted another command than was sent.
 
     Args:
         prepared: the trial; the design's machine lends channels, valves and strokes.
@@ -73,7 +98,7 @@ class LinkMachine:
         mode: what goes down.
         name: of the link, for logs."""
 
-    latency, reasons = 0.0, REASONS
+    latency, reasons = 0.0, (*REASONS, "clock")
 
     def __init__(
         self, prepared: Prepared, layout: Layout, link: Link, mode: Mode, name: str
@@ -92,12 +117,14 @@ class LinkMachine:
 
     def _begin(self) -> None:
         self.token = secrets.randbelow(TOKENS - 1) + 1
-        self.sequence = self.missed = self.row = 0
+        self.sequence = self.missed = self.unheeded = self.row = 0
         self.newest, self._offset, self._wish = np.zeros(self._up), math.inf, RUNNING
         self._epoch, self._clock, self._fresh = np.zeros(self._up), 0.0, False
         self.stamp, self.watchdog, self._every = Stamp(0.0, 0, 0.0), 0.0, 1
         self.exchanges: list[tuple[float, ...]] = []
         self._heard: list[np.ndarray] = []
+        self._sent: dict[int, np.ndarray] = {}  # commands, by the number of their packet
+        self._halted = False
 
     def now(self) -> float:
         """Time [s] by the host's clock, or by the virtual one."""
@@ -127,7 +154,7 @@ class LinkMachine:
             self._offset = min(self._offset, self.now() - self.newest[TIME])
             sample = self.newest[[TIME, ACKNOWLEDGED]].tolist()
             self.exchanges.append((self.sequence, sent, self.now(), *sample))
-        self.missed += not fresh
+        self.missed += not fresh and not self._halted
         self._fresh = fresh
         return fresh
 
@@ -186,8 +213,7 @@ class LinkMachine:
                 first, start = self.newest[SEQUENCE], self.newest[TIME]
             if self.now() > until:
                 self._refuse_other_layout()
-                counts = ", ".join(f"{n} {why}" for why, n in self.rejected.items()) or "none"
-                raise InputError(message("links.silent", url=self.name, rejected=counts))
+                raise no_samples(self.name, self.rejected)
         rate = (self.newest[SEQUENCE] - first) / max(self.newest[TIME] - start, 1e-9)
         self._every = max(round(rate / self.rate), 1) if self.mode == "setpoint" else 1
         if abs(rate / (self.rate * self._every) - 1.0) > LINK.rate:
@@ -210,7 +236,8 @@ class LinkMachine:
             header[[SEQUENCE, TIME]] = header[SEQUENCE] + 1, self.now()
             self.link.send(header)
             for item in self.link.receive(0.1):
-                if item.size >= len(HEADER) and item[TOKEN] == header[TOKEN]:
+                known = item.size >= len(HEADER) and item[TOKEN] == header[TOKEN]
+                if known and item[LAYOUT] != self._number:
                     fields = {"url": self.name, "layout": int(item[LAYOUT])}
                     fields |= {"mode": self.mode, "expected": self._number}
                     raise InputError(message("links.other_layout", **fields))
@@ -219,13 +246,14 @@ class LinkMachine:
         """As `Machine.start`: the target is armed, its valves at rest.
 
         Raises:
-            InputError: as `connect`; it stands elsewhere; it does not arm.
+            InputError: as `reach`; it does not arm; its supply is not there.
         """
-        self.reach(posture, low_side)
+        expected = self.reach(posture, low_side)
         until, self.row = self.now() + LINK.patience, 0
         while self.state != ARMED:
             self.exchange(ARMED, self._down(self.commands.rest))
             self.refuse_unarmed(self.state >= STOPPING or self.now() > until)
+        refuse_other_supply(self, self.prepared.rig, expected, self.sample())
         self._epoch, self.row, self.missed = self.newest.copy(), 0, 0
         self._heard = [self.newest]
         self.exchanges.clear()
@@ -244,8 +272,8 @@ class LinkMachine:
             fields = {"state": state, "reason": reason_of(self, int(self.newest[REASON]))}
             raise InputError(message("links.not_armed", url=self.name, **fields))
 
-    def reach(self, posture: Posture = None, low_side: LowSide = None) -> None:
-        """Let the target send samples; it stands where the trial begins.
+    def reach(self, posture: Posture = None, low_side: LowSide = None) -> np.ndarray:
+        """Let the target send samples; it stands where the trial begins: the sample of the design.
 
         Raises:
             InputError: as `connect`; names the cylinder and both strokes.
@@ -259,6 +287,7 @@ class LinkMachine:
                 shown = (self.prepared.rig.shown("x", float(value)) for value in (x, begin))
                 fields = dict(zip(("stands", "begins"), shown, strict=True))
                 raise InputError(message("links.stands", channel=self.channels[place], **fields))
+        return expected
 
     def _down(self, command: np.ndarray) -> np.ndarray:
         """The values that go down with a command [V]: itself, or what the target shall follow."""
@@ -279,18 +308,32 @@ class LinkMachine:
             self.exchange(ARMED, self._down(self.commands.rest))
             self._epoch, self.missed, self._heard = self.newest.copy(), 0, [self.newest]
         values = self._down(np.asarray(command, dtype=float))
+        self._sent[self.sequence + 1] = values.copy()
         self.exchange(self._wish, values, HOST if self._wish == STOPPING else NONE)
         self.row += 1
+        self.unheeded += self.acted_otherwise() and not self._halted
         stopped, state = 0, self.state
         starting = state == ARMED and self.row <= max(3.0, self.watchdog * self.rate)
         if self._wish == RUNNING and state != RUNNING and not starting:
             stopped = (int(self.newest[REASON]) if state >= STOPPING else 0) or DISAGREEMENT
         elif self.rejected["clock"]:
-            stopped = DISAGREEMENT
+            stopped = len(REASONS)
         at, count = (float(self.newest[k] - self._epoch[k]) for k in (TIME, SEQUENCE))
         age = self.now() - self.newest[TIME] - self._offset
         self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)
         return self.sample()
+
+    def acted_otherwise(self) -> bool:
+        """Whether a command acted that lies beyond the last three packets that the target had: one
+        of them acts, by when it reads them, or what its clamps let pass on the way there."""
+        had, acted = int(self.newest[ACKNOWLEDGED]), self.applied
+        for number in [number for number in self._sent if number < had - 2]:
+            del self._sent[number]
+        sent = [self._sent[number] for number in range(had - 2, had + 1) if number in self._sent]
+        if self.mode != "stream" or self.state != RUNNING or acted is None or len(sent) < 3:
+            return False
+        beyond = np.maximum(acted - np.max(sent, axis=0), np.min(sent, axis=0) - acted)
+        return bool((beyond > LINK.posture * (self.commands.highest - self.commands.lowest)).any())
 
     def heard(self) -> tuple[np.ndarray, np.ndarray] | None:
         """As `heard_of` says; of a table the log says it."""
@@ -301,6 +344,7 @@ class LinkMachine:
 
     def halt(self) -> None:
         """As `halt_of` says: a target that makes its own commands stops by itself."""
+        self._halted = True
         if self.mode != "stream":
             self._wish = STOPPING
 

@@ -2,15 +2,16 @@
 
 import secrets
 import time
+from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.links.client import LINK, TOKENS
+from ehbench.links.client import LINK, TOKENS, no_samples
 from ehbench.links.responder import ALIVE, HEADER
 from ehbench.links.transport import ACKNOWLEDGED, SEQUENCE, STATE, TIME, TOKEN, WATCHDOG, Link
-from ehbench.vocabulary import InputError, Message, message, setting
+from ehbench.vocabulary import Message, message, setting
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ())
         InputError: nobody answers.
     """
     token, times, rows, newest = secrets.randbelow(TOKENS - 1) + 1, [], [], 0.0
-    header = np.zeros(len(HEADER))
+    header, rejected = np.zeros(len(HEADER)), Counter()
     header[TOKEN], header[STATE] = token, ALIVE
     begun = heard = now = time.monotonic()
     with closing(link):
@@ -97,8 +98,10 @@ def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ())
                 if item.size >= len(HEADER) and item[TOKEN] == token:
                     rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
                     newest, heard = item[SEQUENCE], now
+                else:
+                    rejected["malformed" if item.size < len(HEADER) else "foreign"] += 1
             if now - heard > LINK.patience:
-                raise InputError(message("links.silent", url=url, rejected="none"))
+                raise no_samples(url, rejected)
     sent, table = np.array(times), np.array(rows)
     came, sequence, t, acknowledged = table[:, :4].T
     steps = np.diff(acknowledged)

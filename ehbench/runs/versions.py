@@ -37,7 +37,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "response": (2, (*_SIMULATED, "frequency_response")),
     "validation": (5, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
-    "arc_tuning": (2, ("plant", "control", "tuning")),
+    "arc_tuning": (3, ("plant", "control", "tuning")),
     "trial": (3, _TRIAL),
     "trials": (2, _TRIAL),
     "study": (2, ("sampling",)),

@@ -6,7 +6,7 @@ import os
 import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from zlib import crc32
 
@@ -60,15 +60,16 @@ def replacing(path: Path) -> Iterator[Path]:
         yield path
         return
     part = path.with_name(f".{os.getpid()}_{crc32(os.fsencode(path.name)):08x}.part")
-    part.unlink(missing_ok=True)
     try:
+        part.unlink(missing_ok=True)
         yield part
         os.replace(part, path)
     except OSError as error:  # names what the user asked for
         error.filename = str(path) if error.filename in (None, str(part)) else error.filename
         raise
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # a disk that cannot be written to
+            part.unlink(missing_ok=True)
 
 
 @contextmanager

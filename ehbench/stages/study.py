@@ -18,6 +18,7 @@ from ehbench.runtime.memory import refuse_beyond
 from ehbench.sampling.cluster import Cluster
 from ehbench.sampling.design import CASE, RECIPE, Design, Factor, Fitted
 from ehbench.sampling.journal import Journal
+from ehbench.sampling.keys import RIG
 from ehbench.sampling.measures import refuse_unknown
 from ehbench.sampling.outputs import MeasureColumn, write_tables
 from ehbench.sampling.pools import Processes, in_threads
@@ -72,6 +73,7 @@ class PreparedStudy(Prepared):
         workers: where they are made.
         resume: whether to go on with those of an interrupted study.
         journal: where they are stored until the study is complete.
+        is_redesigned: whether controllers are designed on the rigs that are drawn.
     """
 
     recipe: StudyRecipe
@@ -84,6 +86,7 @@ class PreparedStudy(Prepared):
     workers: Workers = Workers()
     resume: bool = False
     journal: Path = Path("study.samples.jsonl")
+    is_redesigned: bool = False
 
 
 class StudyStage(Stage[StudyRecipe, PreparedStudy]):
@@ -150,6 +153,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             digest.hexdigest()[:16],
             versions,
             seeds={"study": recipe.seed},
+            is_redesigned=any(item.key.startswith(f"{RIG}.") for item in design.drawn)
+            and any(getattr(item.recipe, "controller", None) for _, item in prepared),
         )
 
     def versions(self, prepared: PreparedStudy) -> Versions:
@@ -197,6 +202,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             for status, n in sorted(counts.items())
             if status != STATUS[0]
         ]
+        if prepared.is_redesigned:
+            warnings.append(message("stages.redesigned"))
         bad = sum(counts[status] for status in ("failed", "refused", "late"))
         facts = {"samples": design.size, "warnings": warnings}
         return Work(facts, code=INCOMPLETE if bad else DONE)

@@ -332,9 +332,26 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
     return read_json(path)
 
 
-def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[Message, ...]:
+def not_as_tuned(
+    recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
+) -> tuple[Message, ...]:
+    """Notes where gains were tuned for another supply, tick or law than the trial's."""
+    if tuning is None:
+        return ()
+    notes, tick, chosen = other_supply(rig, tuning), 1.0 / float(recipe.rate), recipe.controller
+    if (tuned := tuning.get("tick")) is not None and _differ(tuned, tick):
+        notes += (message("trial.other_tick", tuned=1e3 * tuned, tick=1e3 * tick),)
+    if chosen is not None and chosen.kind is not None:
+        law, of = LAWS[chosen.kind], LAWS[tuning.get("what", "pressure_feedback")]
+        lost = [name for name in of.gains if name in tuning and name not in law.gains]
+        fields = {"law": law.name, "tuned": of.name, "lost": ", ".join(lost)}
+        notes += (message("trial.other_law", **fields),) * bool(lost)
+    return notes
+
+
+def other_supply(rig: Rig, tuning: Mapping[str, Any]) -> tuple[Message, ...]:
     """A note where gains were tuned on another supply than the trial's."""
-    tuned, here = (tuning or {}).get("supply"), rig.supply.facts()
+    tuned, here = tuning.get("supply"), rig.supply.facts()
     if tuned is None:
         return ()
     if tuned.keys() == here.keys() and not any(_differ(tuned[name], here[name]) for name in here):

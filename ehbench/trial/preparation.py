@@ -474,7 +474,7 @@ def _loop(
     _refuse_misfit(recipe, singles, tuning)
     low = controllers.low_pressure(singles[0], rig, tuning)
     level = float(rig.supply.tank_pressure) + low
-    notes = controllers.other_supply(rig, tuning)
+    notes = controllers.not_as_tuned(recipe, rig, tuning)
     designs = [controllers.design(single, rig, maps, model) for single in singles]
     notes += tuple(text for item in designs for text in model.creeping(item.cylinder))
     if tables is None and len(singles) == 1:

@@ -223,14 +223,14 @@ def _on_beats(record: Record, machine: Machine) -> Record:
     after = np.minimum(np.searchsorted(times, t + 0.5 / machine.rate), len(times) - 1)
     known = t <= times[-1]  # a link that is lost says nothing of what acted
     for i, name in enumerate(machine.channels):
-        row = quantity(name)
-        sound = (row.lower <= sent[:, i]) & (sent[:, i] <= row.upper)
+        sound = quantity(name).holds(sent[:, i])
         if name in channels and sound.any():
             channels[name] = np.interp(t, times[sound], sent[sound, i])
     for i, valve in enumerate(machine.commands.names, len(machine.channels)):
         name = f"{valve}.command"
         acted = sent[after, i]
-        channels[name] = np.where(known & np.isfinite(acted), acted, channels[name])
+        said = known & quantity(name).holds(acted)
+        channels[name] = np.where(said, acted, channels[name])
     return replace(record, t=t, channels=channels)
 
 

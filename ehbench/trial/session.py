@@ -284,8 +284,8 @@ class Session:
         rows.sample[:] = self.machine.tick(rows.commands[i])
         stamp, applied = stamp_of(self.machine), applied_of(self.machine)
         self._packet = packet_of(self.machine)
-        if applied is not None:  # what it does not say acted as given
-            np.copyto(rows.commands[i], applied, where=np.isfinite(applied))
+        if applied is not None:  # what it does not say, or cannot be, acted as given
+            np.copyto(rows.commands[i], applied, where=quantity("command").holds(applied))
         if stamp is not None:
             step = stamp.sequence - rows.checks.stamp[1]
             self.missed = max(step - 1.0, 0.0)

@@ -65,8 +65,8 @@ class ArcCandidate:
 
 @dataclass(frozen=True)
 class ArcTuning:
-    """Gains of the adaptive robust controller, SI, and what they rest on; ``supply`` by
-    `ehbench.config.rig.Supply.facts`.
+    """Gains of the adaptive robust controller, SI, and what they rest on; ``tick``, ``delay`` and
+    ``pressure_lag`` [s], ``supply`` by `ehbench.config.rig.Supply.facts`.
 
     ``constraints`` are demanded, ``gain_margin``, ``phase_margin`` [rad] and ``delay_margin`` [s],
     stated, reached at the worst points. ``locus`` of the worst point by delay: the characteristic
@@ -76,6 +76,7 @@ class ArcTuning:
     supply: dict[str, Any]
     cylinder: str
     gains: dict[str, float]
+    tick: float
     delay: float
     pressure_lag: float
     safety: float
@@ -209,6 +210,7 @@ def _result(
         cylinder=study.cylinder,
         gains={name: float(named[name]) for name in CHOSEN},
         delay=search.sensing.delay,
+        tick=search.design_point.tick,
         pressure_lag=search.sensing.lag,
         safety=ARC_LOOP.safety,
         constraints=search.demands,

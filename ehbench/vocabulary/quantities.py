@@ -4,13 +4,19 @@ The rows stand in ``quantities.csv`` beside this file; to add a quantity, add a 
 inside. A channel is named ``<cylinder>.<quantity>`` or ``<cylinder>.<valve>.<quantity>``; its row
 is that of the last word. A float field of a rig or recipe has the row of its own name."""
 
+from __future__ import annotations
+
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ehbench.vocabulary.messages import message
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # readings of a cylinder that its pressures and speed imply, where a log has them in place of these
 GAUGES = ("load_pressure", "load_force", "rod_force")
@@ -37,6 +43,10 @@ class Quantity:
     upper: float = float("inf")
     mode_role: str = ""
     sensor: str = ""
+
+    def holds(self, values: np.ndarray) -> np.ndarray:
+        """Which values [SI] lie in the range; what is not a number does not."""
+        return (self.lower <= values) & (values <= self.upper)
 
 
 def _rows() -> Iterator[Quantity]:

@@ -1,5 +1,6 @@
 """Only files that a run itself made are ever replaced, whatever is named as its place."""
 
+import errno
 import json
 import os
 import resource
@@ -259,6 +260,18 @@ def test_a_full_disk_leaves_each_output_as_it_was(place, name):
         done = subprocess.run(line, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
     assert tree(place) == before and not list(place.glob(".*"))
+
+
+def test_a_disk_that_is_read_only_is_named_by_what_was_asked_for(place, monkeypatch):
+    """Linux refuses there even to remove a file that is not there."""
+
+    def refuse(self, missing_ok=False):
+        raise OSError(errno.EROFS, "Read-only file system", str(self))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(OSError) as error, disk.replacing(place / "page.html"):
+        pass
+    assert error.value.errno == errno.EROFS and error.value.filename == str(place / "page.html")
 
 
 def test_a_device_is_written_to_and_a_link_is_followed(place):

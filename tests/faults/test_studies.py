@@ -365,3 +365,29 @@ def test_an_outer_draw_that_a_rig_refuses_is_noted(study):
     assert found.code == 0
     note = next(line for line in found.lines if "note" in line)
     assert "a sample with rig.supply.pressure = -0.172 times is refused" in note
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("key", "is_redesigned"), [("rig", True), ("recipe.machine", False)])
+def test_a_controller_that_is_designed_on_what_was_drawn_is_noted(key, is_redesigned, tmp_path):
+    """The open loop of `study` needs no note."""
+    rig, _, _ = TRIAL.format(rig=ROOT / "recipes/rigs/slide_servo.toml").partition("[[command]]")
+    motion = """[motion]
+kind = "point_to_point"
+waypoints = ["60 mm", "62 mm"]
+speed = "50 mm/s"
+[controller]
+kind = "position"
+"""
+    (tmp_path / "trial.toml").write_text(rig.replace('posture = { press = "60 mm" }', "") + motion)
+    text = f"""stage = "study"
+recipe = "trial.toml"
+samples = 1
+measures = ["tracking.max_error"]
+[draw]
+"{key}.bulk_modulus" = {{ low = 0.5, high = 0.6, relative = {str(is_redesigned).lower()} }}
+"""
+    (tmp_path / "study.toml").write_text(text)
+    outcome = workflow.run(tmp_path / "study.toml", workflow.Session(out=tmp_path / "run"))
+    noted = [note.key for note in outcome.notes]
+    assert noted == ["stages.redesigned"] * is_redesigned

@@ -297,3 +297,25 @@ def test_a_trial_on_another_supply_than_the_tuned_says_so():
     assert supply.startswith("load sensing, pressure 160 bar, load_margin 16 bar (here 50)")
     (note,) = notes(shipped("boom_four_valve"))
     assert note.fields["supply"].fields == {"tuned": "load sensing", "kind": "constant pressure"}
+
+
+def test_gains_of_another_tick_or_law_say_so():
+    gains, rig = tuned("load sensing").as_json(), rig_on("load sensing", "boom_four_valve", 0.5)
+    feedback = {"cylinder": "boom", "feedback_gain": 1e-11, "washout": 1.0, "low_pressure": 8e5}
+
+    def notes(gains, kind="arc", **more):
+        loop = prepare(trial("model", controller={"kind": kind}, **more), rig, gains=gains).loop
+        assert loop is not None
+        return [(note.key, note.fields) for note in loop.notes]
+
+    assert gains["tick"] == 1e-3 and notes(gains) == []
+    slow = ("trial.other_tick", {"tuned": 1.0, "tick": pytest.approx(10.0)})
+    assert notes(gains, rate="100 Hz") == [slow]
+    for kind, missing in (("pressure_feedback", 0), ("open_loop", 0), ("position", 0), ("arc", 2)):
+        found = notes(feedback, kind)
+        assert len(found) == bool(missing)
+        for key, fields in found:
+            assert key == "trial.other_law" and fields["lost"] == "feedback_gain, washout"
+    ((key, fields),) = notes(gains, "position")
+    assert key == "trial.other_law" and "force_bandwidth" in fields["lost"]
+    assert fields["tuned"] == "arc" and "position_bandwidth" not in fields["lost"]

@@ -1,5 +1,6 @@
 """Packets, the states of a target, trials over a link, faults, on loopback or a virtual clock."""
 
+import io
 import math
 import struct
 import sys
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ehbench.app import cli
 from ehbench.config.recipe import Fault, TrialRecipe
 from ehbench.data import read
 from ehbench.data.record import Record
@@ -17,7 +19,7 @@ from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
 from ehbench.links.layout import Layout, csv_text
 from ehbench.links.opening import Address, open_machine
-from ehbench.links.quality import Quality
+from ehbench.links.quality import Quality, measure
 from ehbench.links.responder import (
     ALIVE,
     ARMED,
@@ -224,7 +226,7 @@ def over_link(served, mode="stream", on_sample=None, kind=LinkMachine, **keys):
 def test_a_trial_over_a_link_does_what_it_does_in_this_process(mode):
     here = run(trial("model"), fast=False)
     there, machine, item = over_link(trial("model"), mode)
-    assert machine.rejected == {} and item.rejected == {}
+    assert machine.rejected == {} and item.rejected == {} and machine.unheeded == 0
     assert REASONS[item.reason] == "done" and item.state == STOPPED
     assert here.record.t.size == there.record.t.size
     tolerance = 1e-5 if mode == "stream" else 1e-3  # the oil has settled for half a second more
@@ -279,6 +281,38 @@ def test_a_host_stops_when_samples_or_states_are_wrong(wrong, limit):
         assert result.facts.stop.limit == limit and 0.4 <= result.facts.stop.t <= 0.45
 
 
+def test_a_jump_of_the_targets_clock_is_no_reason_of_the_target():
+    def jump(numbers, machine):
+        numbers[TIME] += 5.0 * (machine.row > 100)
+        return numbers
+
+    result, machine, item = over_link(trial(), on_sample=jump)
+    assert machine.reasons[int(result.facts.stop.value)] == "clock"
+    assert "clock" in result.facts.stopped and REASONS[item.reason] != "clock"
+
+
+@pytest.mark.parametrize(
+    ("change", "least"),
+    [
+        (lambda volts: 0.0, 0.6),  # the echo is not wired
+        (lambda volts: -volts, 0.3),
+        (lambda volts: 1e3 * volts, 0.6e-3),  # millivolts
+        (lambda volts: volts * (1.0 + 1e-3), math.inf),  # rounded on the way
+    ],
+)
+def test_ticks_in_which_another_command_acted_are_counted(change, least):
+    """``least`` [V] is the command that is 3 % of 20 V away from what the target says of it."""
+    sent = run(trial("model"), fast=False).record["press.servo.command"]
+
+    def echo(numbers, machine):
+        numbers[-1] = change(numbers[-1])
+        return numbers
+
+    _, machine, _ = over_link(trial("model"), on_sample=echo)
+    # where it changes quickly, one of three packets may be nearer
+    assert machine.unheeded == pytest.approx((np.abs(sent) > least).sum(), abs=10)
+
+
 def test_replayed_and_torn_packets_do_not_count_at_the_host():
     before = []
 
@@ -328,6 +362,38 @@ def test_a_fault_of_the_link_is_one_of_its_packets(failing, limit, reason):
 def test_a_machine_that_does_not_fit_the_trial_is_refused(keys, key):
     with refused(key, InputError):
         over_link(trial(), **keys)
+
+
+def test_a_machine_without_its_supply_is_refused():
+    """As of a pump that is off, or of numbers in bar."""
+
+    def in_bar(numbers, machine):
+        numbers[UP.index("p_supply")] *= 1e-5
+        return numbers
+
+    with refused("links.supply", InputError):
+        over_link(trial(), on_sample=in_bar)
+
+
+def test_samples_of_another_size_are_not_taken_for_another_layout():
+    item = ServedTarget(trial())
+    link = VirtualLink(item)
+    receive, machine = link.receive, LinkMachine(trial("model"), LAYOUT, link, "stream", "virtual")
+    link.receive = lambda timeout: [numbers[:-1] for numbers in receive(timeout)]
+    with refused("links.silent", InputError) as error:
+        machine.start()
+    assert machine.rejected["malformed"] > 100 and "malformed" in str(error.value)
+
+
+def test_a_measurement_counts_what_does_not_count():
+    """Vectors of a target that sends float32, or too few numbers."""
+    single = np.ones(24, "<f4").tobytes()
+    link = SimpleNamespace(virtual=True, send=lambda _: None, close=lambda: None)
+    link.receive = lambda timeout: [np.frombuffer(single, "<f8"), np.empty(0)]
+    with refused("links.silent", InputError) as error:
+        measure(link, "udp://here:1", 0.1)
+    for why in ("foreign", "malformed"):
+        assert why in str(error.value)
 
 
 def test_a_target_of_another_rig_is_named_by_its_layout():
@@ -536,6 +602,22 @@ def test_a_trial_runs_with_the_token_of_rig_recipe_and_link(monkeypatch):
     assert link["late"] == 0 and set(link) >= {"rejected", "clock_offset", "command_delay"}
     assert 0.0 < dry["stopping_distance"]["press"] < 0.02
     assert dry["differences"]["press.x"]["largest"] < 5e-3
+
+
+def test_nobody_to_ask_types_no_token(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    assert cli._typed("it moves", "1A2B3C") == "" and "1A2B3C" in capsys.readouterr().err
+
+
+def test_what_comes_after_a_stop_makes_no_tick_late(monkeypatch):
+    item = ServedTarget(trial(), (fault(kind="link_lost"),))
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: VirtualLink(item))
+    ask = lambda about, token: token  # noqa: E731
+    result, link, _, _ = run_remote(trial("model"), "udp://here:1?clock=virtual", ask)
+    stop = result.facts.stop
+    assert stop.limit == "sample_age" and result.record.t[-1] > stop.t + 1.0
+    # the limit is 20 ms: five samples of 4 ms, and that at which it was met
+    assert link["late"] <= 6 and link["ticks"] == pytest.approx(250.0 * stop.t, abs=2.0)
 
 
 def test_a_person_hears_of_a_stroke_that_no_sensor_gives(monkeypatch):

@@ -174,6 +174,15 @@ def test_what_a_damped_tuning_misses_is_asked_for(tmp_path):
     folder = tune_run(tmp_path, "slow", **given, **LEAN)
     (step,) = REPORT.findings(Saved(folder)).next
     assert step.key == "steps.smaller_margins" and step.hint.startswith('bandwidth = "')
+    # all that is missed at once: pasted, it is met
+    folder = tune_run(tmp_path, "both", **given | {"damping_ratio": 0.123, "target": 0.5}, **LEAN)
+    (step,) = REPORT.findings(Saved(folder)).next
+    damping, bandwidth = step.hint.splitlines()
+    assert damping == 'damping_ratio = "0.12"' and bandwidth.startswith('bandwidth = "')
+    # a loop that swings has no damping to ask for
+    folder = tune_run(tmp_path, "swings", **given | {"damping_ratio": -0.1, "target": 0.5}, **LEAN)
+    (step,) = REPORT.findings(Saved(folder)).next
+    assert step.hint == ""
 
 
 def test_a_tuning_that_fails_says_so(unpainted, tmp_path):

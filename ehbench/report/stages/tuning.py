@@ -407,13 +407,10 @@ def findings(run: Saved) -> Findings:
         Headline(OFTEN, "Feedback gain K_p", gain),
     ]
     against = [] if tuning["met"] else [page.text("missed")]
-    reached = number(rounded_down(tuning["damping_ratio"]), 2)
-    step = message("steps.less_damping", reached=reached)
-    if tuning["damping_ratio"] >= tuning["target"]:  # it is another demand that is missed
-        demands = tuning["constraints"].plain()
-        worst = {name: _minimum(counted(tuning), name) for name in demands}
-        step = message("steps.smaller_margins", keys=reached_demands(run.rig, demands, worst))
-    steps = [step] if against else []
+    demands = {"damping_ratio": tuning["target"], **tuning["constraints"].plain()}
+    worst = {name: _minimum(counted(tuning), name) for name in tuning["constraints"]}
+    keys = reached_demands(run.rig, demands, {"damping_ratio": tuning["damping_ratio"], **worst})
+    steps = [message("steps.smaller_margins", keys=keys)] if against else []
     share = draws["share"] if draws["draws"] else 1.0
     if share < 1.0:
         against.append(page.text("missed_draws", share=1.0 - share))
