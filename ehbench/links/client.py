@@ -37,7 +37,6 @@ from ehbench.links.transport import (
 )
 from ehbench.machines.protocol import Machine, Posture, Stamp, reason_of
 from ehbench.plant.trim import LowSide
-from ehbench.trial.checks import CHECKS
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary import InputError, message, setting
 
@@ -54,6 +53,7 @@ class LinkSettings:
     posture: float = setting(
         0.03, "", "of a stroke or command by which it is another one", "sensors to 1 %"
     )
+    supply: float = setting(0.01, "", "of the design's supply pressure", "unloaded pumps: 0.03")
     drift: float = setting(2e-4, "", "difference of two clocks' rates", "quartz within 100 ppm")
     rate: float = setting(0.02, "", "difference of the target's rate from the trial's", "jitter")
     jump: float = setting(0.1, "s", "of a target's clock beyond its count", "five watchdogs")
@@ -71,14 +71,14 @@ def no_samples(url: str, rejected: Mapping[str, int]) -> InputError:
 def refuse_other_supply(
     machine: Machine, rig: Rig, expected: np.ndarray, sample: np.ndarray
 ) -> None:
-    """Refuse a machine whose supply stands far below that of the design's first sample: the pump
-    is off, or its numbers are no pascals.
+    """Refuse a machine without the supply of the design's first sample: the pump is off, or its
+    numbers are no pascals. One that is unloaded until the trial runs is let through.
 
     Raises:
         InputError: names both pressures.
     """
     place = machine.channels.index("p_supply")
-    if sample[place] * CHECKS.range < expected[place]:  # one without a sensor is no number
+    if sample[place] < LINK.supply * expected[place]:  # one without a sensor is no number
         stands, begins = (rig.shown("p_supply", float(p[place])) for p in (sample, expected))
         raise InputError(message("links.supply", stands=stands, begins=begins))
 

@@ -229,6 +229,14 @@ def elsewhere(share):
     return refusal(link.reach)
 
 
+def without_supply(share):
+    """The refusal of a machine with a share of the pressure that its supply begins at."""
+    machine: Any = Stub(channels=("p_supply",))
+    rig: Any = Stub(shown=lambda *_: "")
+    pressures = np.array([2e7]), np.array([share * 2e7])
+    return refusal(lambda: client.refuse_other_supply(machine, rig, *pressures))
+
+
 def clock_jumps(seconds):
     """Whether a sample counts whose clock is so far beyond its count."""
     link = link_of()
@@ -477,6 +485,7 @@ ROWS = [
     (LINK, "rate", lambda: [other_rate(s) for s in (0.019, 0.021)], ["", "links.other_rate"]),
     (LINK, "posture", lambda: [elsewhere(s) for s in (0.029, 0.031)], ["", "links.stands"]),
     (LINK, "jump", lambda: [clock_jumps(t) for t in (0.09, 0.11)], [True, False]),
+    (LINK, "supply", lambda: [without_supply(s) for s in (0.009, 0.011)], ["links.supply", ""]),
     (LINK, "drift", drifts, 0.2),
     (QUALITY, "late", lambda: [problems(n) for n in (9, 11)], [[], [("links.late", None)]]),
     (QUALITY, "gap", lambda: [problems(gap=s) for s in (0.48, 0.52)],
