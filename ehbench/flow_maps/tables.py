@@ -96,7 +96,7 @@ def prepare_readings(
         items = [item for file in np.unique(rows.file).tolist() for item in notes.pop(file, ())]
         show = _units(rig, sign)
         # a slip of unit is in all rows: far from what the supply can give, or from the law
-        flow, ratio = float(np.quantile(rows.flow, 0.9)), _ratio(laws[name], rows)
+        flow, ratio = float(np.quantile(rows.flow, 0.9)), gain_ratio(laws[name], rows)
         if flow > SETTINGS.large_flow * limit > 0.0:
             fields = {"flow": show.flow(flow), "ratio": flow / limit, "limit": show.flow(limit)}
             items.append(message("flow_maps.flow_and_supply", **fields))
@@ -107,7 +107,7 @@ def prepare_readings(
     return PreparedReadings(tuple(edges), tuple(losses), tuple(details))
 
 
-def _ratio(edge: Edge, rows: FlowmeterData) -> float:
+def gain_ratio(edge: Edge, rows: FlowmeterData) -> float:
     """The flow that readings have, in that of the edge's gain in the rig file; 1 without one."""
     widths = np.maximum(rows.command - float(edge.deadband), 0.0)
     gain = edge.compensated_gain

@@ -247,9 +247,9 @@ def test_flows_are_held_against_the_gain_of_the_rig_file(gains, ratio):
     edge: Any = Stub(deadband=1.0, flow_gain=gains[0], compensated_gain=gains[1])
     rows: Any = Stub(command=np.array([0.5, 2.0, 3.0, 3.0]), pressure_drop=np.full(4, 1e6))
     rows.flow = 1e-5 * np.array([9.0, 3.0, 6.0, 0.0])
-    assert tables._ratio(edge, rows) == pytest.approx(ratio)
+    assert tables.gain_ratio(edge, rows) == pytest.approx(ratio)
     rows.flow[:] = 0.0
-    assert tables._ratio(edge, rows) == 1.0
+    assert tables.gain_ratio(edge, rows) == 1.0
 
 
 def test_readings_that_stand_alone_are_off_by_their_share_of_the_map():
@@ -531,7 +531,7 @@ def test_a_measured_command_scatters_about_rest(sign):
 def test_flows_far_from_what_the_supply_can_give_are_told(flow, ratio):
     """1 L/s: above twenty times nine of ten."""
     flows = flow * np.linspace(0.5, 1.0, 21)[:-1] / 0.975
-    with answers(tables, _ratio=1.0):
+    with answers(tables, gain_ratio=1.0):
         (edge,) = tables.prepare_readings(shipped("slide_servo"), [rows_of(flow=flows)]).edges
     told: list[Any] = list(edge.notes)
     assert [note.fields["ratio"] for note in told] == pytest.approx(
