@@ -199,9 +199,10 @@ def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
     assert not about([one], "check the unit")
 
 
-def test_no_limit_of_the_supply_no_doubt_about_flows(write):
+@pytest.mark.parametrize("limit", [math.inf, 0.0])
+def test_no_limit_of_the_supply_no_doubt_about_flows(write, limit):
     rig = shipped("slide_servo")
-    supply = rig.supply.model_copy(update={"flow_limit": math.inf})
+    supply = rig.supply.model_copy(update={"flow_limit": limit})
     endless = rig.model_copy(update={"supply": supply})
     fits = fit_rows(write, servo_rows("supply->head", 1, scale=60.0), endless)
     assert not about(fits, "check the unit")
