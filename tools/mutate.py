@@ -235,7 +235,7 @@ class Runs:
         head, _, tail = (
             ".".join(module.with_suffix("").parts).removesuffix(".__init__").rpartition(".")
         )
-        imported = rf"\b{head}(\.| import .*\b){tail}\b"
+        imported = rf"\b{head}(\.| import (\([^)]*|.*)\b){tail}\b"
         near, more, seen = set(), set(), {test.partition("::")[0] for test in tests}
         constant = rf"\b{word}\b" if inside is None and word else "(?!)"  # which matches nothing
         for file in {test.partition("::")[0] for test in self.seconds}:

@@ -330,7 +330,7 @@ def _shift_of(result: Fit) -> tuple[float, float]:
     if not r.shift:
         # past the likelihoods between, which rise where a command begins to pass flow
         step *= 0.5
-        best = min((step * k for k in (0, -1, 1, -2, 2, -3, 3, -4, 4)), key=anew)
+        best = min((step * k for k in sorted(range(-4, 5), key=abs)), key=anew)
         while step > end:
             best = min((best, best - step, best + step), key=anew)
             step *= 0.5 if anew(best) <= min(anew(best - step), anew(best + step)) else 1.0
@@ -339,7 +339,7 @@ def _shift_of(result: Fit) -> tuple[float, float]:
     now, std = np.array([shape.deadband, r.shift]), end
     away = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
     terms = np.column_stack([away[:, :1] ** 2, away.prod(1), away[:, 1:] ** 2, away, np.ones(9)])
-    for size in (end, 0.25 * end, 0.0625 * end):
+    for size in end * 0.25 ** np.arange(3):
         values = [nearby(*place) for place in now + size * away]
         xx, xy, yy, x, y, _ = np.linalg.lstsq(terms, values, rcond=None)[0]
         bend = np.array([[2.0 * xx, xy], [xy, 2.0 * yy]])
@@ -368,5 +368,5 @@ def _hysteresis_of(result: Fit) -> tuple[float, float]:
         return 0.0, 0.0
     residual = result.residuals[use]
     value = float((weight * lever) @ residual) / power
-    scatter = float(weight @ (residual - value * lever) ** 2) / max(int(use.sum()) - 1, 1)
+    scatter = float(weight @ (residual - value * lever) ** 2) / (int(use.sum()) - 1)
     return value, float(np.sqrt(max(scatter, 1.0) / power))

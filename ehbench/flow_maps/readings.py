@@ -170,7 +170,7 @@ class Readings:
         if self.one_drop:
             return OneColumn()
         closest = np.diff(self.places_read).min(initial=1.0)
-        spans = int(np.clip(np.ceil(1.0 / closest), 3, SETTINGS.spans))
+        spans = min(math.ceil(1.0 / closest), SETTINGS.spans)
         return Axis(np.linspace(0.0, 1.0, spans + 1), 3)
 
     @cached_property
@@ -287,7 +287,8 @@ def sort_readings(
     use = use[np.lexsort((given.line[use], q[use], drop[use], u[use]))]
     # trial 1 of two files is two trials
     file = given.file.astype(str)
-    trial = np.unique(file, return_inverse=True)[1] * (given.trial.max() + 1) + given.trial
+    pairs = np.column_stack([np.unique(file, return_inverse=True)[1], given.trial])
+    trial = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
     method, line = given.method.astype(str)[use], given.line[use]
     u, drop, q, trial, file = (a[use] for a in (u, drop, q, trial, file))
     sweep = _sweeps(u, trial, line)
@@ -306,7 +307,7 @@ def sort_readings(
     cell = np.unique(key, axis=0, return_inverse=True)[1].ravel()
     readings = Readings(
         *(who, options.show, given.command.size, use, u, drop, np.where(silent, 0.0, q)),
-        *(method, trial, file, line, limit, silent, sweep, one_drop, 1.0, q, cell, level),
+        *(method, trial, file, line, limit, silent, sweep, one_drop, math.nan, q, cell, level),
         options.drop_std / float(drop.max()),
         options.command_std,
     )
@@ -335,8 +336,7 @@ def _rated(r: Readings) -> Readings:
     least = SETTINGS.across * np.ptp(r.commands)
     wide = [middle[at] for at in each if np.ptp(r.commands[level[at]]) >= least]
     fields = {"low": r.show.volts(r.u.min()), "high": r.show.volts(r.u.max())}
-    change = float(np.median([*map(np.ptp, wide)])) if wide else 1.0
-    if change < SETTINGS.effect:
+    if wide and (change := float(np.median([*map(np.ptp, wide)]))) < SETTINGS.effect:
         raise InsufficientData(message("flow_maps.idle", map=r.who, change=change, **fields))
     falls = [flows[0] - flows[-1] for flows in wide]
     if wide and min(falls) > 0.0 and (fall := float(np.median(falls))) > SETTINGS.effect:
@@ -416,13 +416,14 @@ def measure_noise(
             dof_all += int(round(dof.sum()))
         if not dof.sum() > 0:
             continue
-        best, dof = (np.inf, 0.0, 0.0), dof[use]  # the likeliest floor and share
+        tried, dof = [], dof[use]  # the likeliest floor and share
         for ratio in (0.0, *np.geomspace(1.0, 1e4, 25)):
             shape = 1.0 + ratio * flow[use] ** 2
             floor2 = max(float(np.sum(inside[use] ** 2 / shape) / dof.sum()), 1e-300)
             score = float(dof.sum() * np.log(floor2) + dof @ np.log(shape))
-            best = min(best, (score, floor2**0.5, (ratio * floor2) ** 0.5))
-        methods[name] = float(best[1]), float(best[2])
+            tried.append((score, floor2**0.5, float((ratio * floor2) ** 0.5)))
+        _, floor, share = min(tried)
+        methods[name] = floor, share
     return Noise(methods, dof_all)
 
 

@@ -245,7 +245,7 @@ def _map_of(
         more["leakage"] = tuple(_digits([leak.root, leak.drop], 6) * r.rated)
         more["leakage_std"] = float(_digits([r.rated * leak.std], 4)[0])
     if np.any(spline.sign < 0):
-        rising = int(np.count_nonzero(spline.sign > 0)) // spline.columns
+        rising = int(np.count_nonzero(spline.sign == 1)) // spline.columns
         more["rising_to"] = float(knots[rising - 1])
     if result.hysteresis is not None and result.hysteresis.removed:
         more["hysteresis"] = round(result.hysteresis.value, 4)
@@ -253,7 +253,7 @@ def _map_of(
         more["shift"] = float(_digits([r.shift / r.drop_max], 6)[0])
     if r.one_drop:
         # 24 spans along the root of the drop: the map rises within the first ones
-        increments, low = np.repeat(increments, 24 + 2, axis=1), 0.0 * low
+        increments, low = np.repeat(increments, 24 + 2, axis=1), np.zeros_like(low)
         more["level"] = True
     return FlowMap(
         valve=valve,
@@ -401,9 +401,9 @@ def _between(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
     passes flow count: farther up the smoothing tells."""
     r, at, first = result.readings, result.solution.at, result.window.opens
     roots = _chord(lambda root, opening: at(opening, root), r.roots, s, u, 1)
-    start = _chord(at, r.levels, u, s, 0)
-    start *= (r.levels[max(first - 1, 0)] <= u) & (u <= r.levels[first + 1])
-    sure = 0.5 if result.shape.along_s.kink else 0.25
+    near = np.clip(u, *r.levels[[max(first - 1, 0), first + 1]])
+    start = _chord(at, r.levels, near, s, 0)
+    sure = 0.25 * (1 + result.shape.along_s.kink)
     return (sure * roots) ** 2 + (0.25 * start) ** 2
 
 
@@ -418,7 +418,7 @@ def _chord(
     of that of x between ``places``."""
     if places.size < 4:
         return np.zeros(x.size)
-    gap = np.clip(np.searchsorted(places, x, side="right") - 1, 0, places.size - 2)
+    gap = np.searchsorted(places[1:-1], x, side="right")
     each, row = np.unique(y, return_inverse=True)
     table = flow(np.tile(places, each.size), np.repeat(each, places.size))
     slopes = np.diff(table.reshape(each.size, places.size), axis=1) / np.diff(places)

@@ -541,7 +541,7 @@ def _place(shape: Shape, cells: Cells) -> Kink:
     """The last kink of the shape, by its profile likelihood over its gap and the two next to it."""
     *others, middle = shape.kinks
     k = int(np.searchsorted(shape.above, middle))
-    low, high = shape.above[max(k - 2, 0)], shape.above[min(k + 1, shape.above.size - 1)]
+    low, high = shape.above[[k - 2, k + 1]]  # there are two commands on either side
     grid = np.linspace(low, high, 62)[1:-1]
     step, gap = float(grid[1] - grid[0]), np.searchsorted(shape.above, grid)
     free = _roomy(shape.above)[gap] & ~np.isin(gap, np.searchsorted(shape.above, others))

@@ -44,14 +44,16 @@ class Axis:
     ``mass`` is ∫ of their products, ``curvature`` that of their second derivatives, each span times
     its ``stiffness``, and ``bends`` its root, shape (nodes, splines); ``volume`` the logarithm of
     the mass's determinant, ``eigenvalues`` those of the curvature with the mass, the first, of a
-    straight line, zero."""
+    straight line, zero. ``kink``: it may bend sharply at a break."""
+
+    kink = False
 
     def __init__(
         self, breaks: np.ndarray, degree: int, stiffness: np.ndarray | None = None
     ) -> None:
         self.breaks, self.degree = breaks, degree
         self.pieces = bspline_pieces(breaks, degree)[:, 1:]
-        self.size, self.kink = self.pieces.shape[1], False
+        self.size = self.pieces.shape[1]
         self.stiffness = np.ones(breaks.size - 1) if stiffness is None else stiffness
         knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
         # coefficients of the coordinate itself
@@ -102,10 +104,10 @@ class OneColumn(Axis):
     """In place of the root of the drop where no drop was measured: the flow goes by the opening."""
 
     def __init__(self) -> None:
-        self.breaks, self.size, self.kink = np.zeros(2), 1, False
+        self.breaks, self.size = np.zeros(2), 1
         self.volume, self.eigenvalues = 0.0, np.zeros(1)
         self.mass, self.curvature, self.bends = np.eye(1), np.zeros((1, 1)), np.zeros((1, 1))
-        self.stiffness, self.centres = np.ones(1), np.ones(1)
+        self.centres = np.ones(1)
 
     def at(self, x: np.ndarray) -> np.ndarray:
         return np.ones((x.size, 1))
@@ -277,10 +279,9 @@ class Spline:
         along u."""
         from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
 
-        unknown = np.where(zero, -1, np.cumsum(~zero) - 1)
         index = np.where(zero, -1, np.arange(self.size)).reshape(self.columns, self.rows)
         last = np.maximum.accumulate(index, axis=1).ravel()
-        unknown = np.append(unknown, -1)[last]  # of each coefficient, −1 for zero
+        unknown = np.append(np.cumsum(~zero) - 1, -1)[last]  # of each coefficient, −1 for zero
         pairs = _pairs(self.rows, self.columns)
         low, high = unknown[pairs.first], unknown[pairs.second]
         some = np.flatnonzero((low >= 0) & (high >= 0))
@@ -303,7 +304,7 @@ class Spline:
         from scipy.optimize import nnls
 
         steps = self.over_steps(self.over_steps(full(band)).T)
-        factor = np.linalg.cholesky(self.sign[:, None] * steps * self.sign)
+        factor = np.linalg.cholesky(np.outer(self.sign, self.sign) * steps)
         pull = np.linalg.solve(factor, self.sign * self.over_steps(right))
         grown = self.sign * nnls(factor.T, pull, maxiter=50 * right.size)[0]
         return np.cumsum(grown.reshape(self.columns, self.rows), axis=1).ravel()

@@ -52,7 +52,7 @@ class Eliminated:
         parameters.
         """
         whole = self.inner + self.gain @ covariance @ self.gain.T
-        return np.sqrt(np.maximum(np.diag(whole), 0.0))
+        return np.sqrt(np.diag(whole))
 
 
 def eliminate(block: Block, weight: float) -> Eliminated:
@@ -124,7 +124,7 @@ class Covariance:
         ]
         if self.jackknife is not None:
             quantile = float(stdtrit(self.logs - 1, 0.5 + 0.5 * LEVEL))
-            results.append((math.sqrt(max(self.jackknife[k, k], 0.0)), quantile, "jackknife"))
+            results.append((math.sqrt(self.jackknife[k, k]), quantile, "jackknife"))
         return max(results, key=lambda item: item[0] * item[1])
 
     @property
@@ -180,10 +180,10 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
         inverse @ (_by_counts(free, blocks) + np.sum(prior_parts, axis=0) + known) @ inverse,
         _jackknife(solved, meats, root),
         len(blocks),
-        np.sqrt(np.maximum(np.diag(hac), 0.0)) / informed,
+        np.sqrt(np.diag(hac)) / informed,
         1.96 + 2.97 * b + 0.416 * b**2,
-        np.clip(1.0 - np.diag(prior.normal) * np.diag(inverse), 0.0, 1.0),
-        np.clip(1.0 - ideal, 0.0, 1.0),
+        np.maximum(1.0 - np.diag(prior.normal) * np.diag(inverse), 0.0),
+        np.maximum(1.0 - ideal, 0.0),
     )
 
 
@@ -218,9 +218,10 @@ def release_of(blocks: Sequence[Block], prior: Prior, minimum: float) -> Release
     normal = np.sum([item.normal for item in solved], axis=0) + prior.normal
     pull = np.sum([item.gradient for item in solved], axis=0) + prior.gradient
     step, without = _step(normal, pull), _step(normal[:-1, :-1], pull[:-1])
-    gain, follow = float(pull[:-1] @ without - pull @ step), step[:-1] - without
+    gain = float(pull[:-1] @ without - pull @ step)
+    result = Release(float(step[-1]), math.inf, gain, step[:-1] - without)
     if gain < minimum:
-        return Release(float(step[-1]), math.inf, gain, follow)
+        return result
     after = []
     for block, item in zip(blocks, solved, strict=True):
         left = (
@@ -229,8 +230,8 @@ def release_of(blocks: Sequence[Block], prior: Prior, minimum: float) -> Release
             + block.start_jacobian @ (item.move - item.gain @ step)
         )
         after.append(replace(block, residuals=left))
-    std = covariance_of(after, prior).error(len(pull) - 1)[0]
-    return Release(float(step[-1]), std, gain, follow)
+    std, *_ = covariance_of(after, prior).error(len(pull) - 1)
+    return result._replace(std=std)
 
 
 def gains_of(blocks: Sequence[Block], prior: Prior) -> np.ndarray:

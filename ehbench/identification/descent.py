@@ -205,7 +205,7 @@ def bounded_step(
     return np.clip(move / size, low, high)
 
 
-def settle(problem: Problem, state: State, tolerance: float) -> tuple[State, bool]:
+def settle(problem: Problem, state: State) -> tuple[State, bool]:
     """(the state once the weights are settled by weighing and solving, whether it converged)."""
     converged = False
     for _ in range(SETTINGS.rounds):
@@ -214,7 +214,7 @@ def settle(problem: Problem, state: State, tolerance: float) -> tuple[State, boo
         change = max(abs(math.log(state.scales[c] / before[c])) for c in before)
         if converged and change < SETTINGS.settled:
             break
-        state, converged = solve(problem, state, tolerance)
+        state, converged = solve(problem, state, 1e-6)
     return state, converged
 
 

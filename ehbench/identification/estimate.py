@@ -87,7 +87,7 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
         )
     state = replace(state, influence=influence, coarse=False)
     faint = [i for i, size in zip(state.free, sizes, strict=True) if size < PROBLEM.faint]
-    state, converged = settle(problem, _over_ranges(problem, state, faint), 1e-6)
+    state, converged = settle(problem, _over_ranges(problem, state, faint))
     state = replace(state, free=tuple(sorted({*state.free, *state.ranges})), ranges={})
     for _ in range(problem.fitted):
         state = evaluate(problem, state)
@@ -106,7 +106,7 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
         for i in set(near) - set(lost):
             state = towards(problem, state, i, near[i]).fixed(i)
             state = replace(state, at_bound=(*state.at_bound, i))
-        state, converged = settle(problem, state, 1e-6)
+        state, converged = settle(problem, state)
     else:
         state = evaluate(problem, state)
         errors = errors_of(problem, state)
@@ -155,7 +155,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
             free=tuple(sorted({*state.free, i})),
         )
         state = evaluate(problem, state)
-        low, high = problem.room(state.theta, [i])[0]
+        ((low, high),) = problem.room(state.theta, [i])
         every = np.linspace(low, high, SETTINGS.points)
         points = np.unique([*every, problem.search[i].begin])
         rises, effect = _rises(problem, state, i, points)
@@ -205,7 +205,7 @@ def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[
     residuals, here = scaled(problem, state), cost(problem, state)
     for n, value in enumerate(points):
         theta = state.moved(i, value).theta
-        moved = residuals_at(problem, state, [theta])[0]
+        (moved,) = residuals_at(problem, state, [theta])
         if moved is None:
             rises[n] = math.inf
             continue

@@ -143,7 +143,7 @@ class Matching:
         where it rang before.
         """
         values = [c.at(x) for c, x in zip(self.search, theta, strict=True)]
-        row = self.simulator.simulate([values])[0]
+        (row,) = self.simulator.simulate([values])
         result = []
         for k, window in enumerate(self.windows):
             simulated = row[window.log]

@@ -179,7 +179,7 @@ class Problem:
     def limit_at(self, theta: np.ndarray, i: int) -> str:
         """The same of a parameter that has come to such a limit."""
         steps = SETTINGS.difference * np.array([-1.0, 1.0])
-        limits = (self.limit(theta, i, x) for x in np.clip(theta[i] + steps, *self.bounds([i])[0]))
+        limits = (self.limit(theta, i, x) for x in np.clip(theta[i] + steps, *self.bounds([i]).T))
         return next(filter(None, limits), "")
 
     def residual(self, log: Log, simulated: np.ndarray | None) -> np.ndarray:
@@ -287,7 +287,7 @@ def towards(problem: Problem, state: State, i: int, theta: float) -> State:
     there = state.moved(i, theta)
     if not problem.limit(there.theta, i, theta):
         return there
-    return state.moved(i, float(np.clip(theta, *problem.room(state.theta, [i])[0])))
+    return state.moved(i, float(np.clip(theta, *problem.room(state.theta, [i]).ravel())))
 
 
 def at_values(problem: Problem, values: Mapping[str, float]) -> State:

@@ -147,12 +147,13 @@ def _only_noise(fit: Problem, state: State) -> bool:
     """
     if fit.cutoff or any(log.band is not None for log in fit.logs):
         return False
-    noise = 0.0
-    for log in fit.logs:
-        noises = [white_noise(y) for y in log.recorded.T] / by_channel(state.scales, log)
-        noise += float(np.sum(noises**2 * np.count_nonzero(log.counts, axis=0)))
+
+    def noise(log: Log) -> float:
+        sizes = [white_noise(y) for y in log.recorded.T] / by_channel(state.scales, log)
+        return float(np.sum(sizes**2 * np.count_nonzero(log.counts, axis=0)))
+
     left = squares(fit, state)
-    return left - noise < SETTINGS.worth * left
+    return left - sum(map(noise, fit.logs)) < SETTINGS.worth * left
 
 
 def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
@@ -345,7 +346,8 @@ def _promising(
 def _release(fit: Problem, result: Errors, item: _Suspect, minimum: float) -> Release:
     """What freeing a row would do, to first order; arguments as of `release_of`."""
     prior = prior_of(fit, result.state, list(result.state.live))
-    known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
+    sharpness, off = (np.append(item, 0.0) for item in (prior.sharpness, prior.off))
+    known = Prior(sharpness, off, prior.weight)
     return release_of(_with(result, [item]), known, minimum)
 
 

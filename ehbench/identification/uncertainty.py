@@ -91,8 +91,7 @@ def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
     inner = np.linalg.pinv(normal[np.ix_(rest, rest)])
     projected = normal[np.ix_(logs, logs)]
     projected = projected - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
-    ideal = np.sqrt(1.0 / np.maximum(np.diag(normal), 1e-300))
-    widening = [result.alone[k] / ideal[k] for k in logs]
+    widening = (result.alone * np.sqrt(np.diag(normal)))[logs]
     names = [problem.search[live[k]].name for k in logs]
     values = [problem.search[live[k]].at(state.theta[live[k]]) for k in logs]
     return groups_of(names, values, projected, float(np.median(widening)))

@@ -121,7 +121,7 @@ class ArcLoop:
 
         Samples between two ticks are read on the straight line between them."""
         plant, law = self.plant, self.law
-        n, m, k = plant.a.shape[0], plant.c.shape[0], law.a.shape[0]
+        n, m, k = map(len, (plant.a, plant.c, law.a))
         late = sensing.delay / self.tick
         whole, share = int(late), late - int(late)
         rows = whole + 2

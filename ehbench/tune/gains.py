@@ -205,7 +205,7 @@ def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: fl
     else:
         # the sensitivity 1 + K c (s − a − K b c)⁻¹ b without washout, then an integrator
         plain = motion.loop(replace(law, washout=0.0))
-        n = plain.a.shape[0]
+        n = len(plain.a)
         a = np.zeros((n + 1, n + 1))
         a[:n, :n], a[n, :n] = plain.closed(gain), gain * plain.c
         system = system_of(a, np.append(plain.b, 1.0), np.eye(n + 1)[n])

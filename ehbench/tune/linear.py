@@ -204,7 +204,7 @@ def write_delay(a: np.ndarray, at: int, delay: float) -> tuple[float, float]:
 def with_delays(linear: LinearModel, model: Model) -> LinearModel:
     """The model with the delays of its valves before them. Their states stand last."""
     late = model.plant.valves.delay[list(linear.valves)]
-    size, fixed = linear.a.shape[0], 2 * int(np.count_nonzero(late))
+    size, fixed = len(linear.a), 2 * int(np.count_nonzero(late))
     if not fixed:
         return linear
     a, b = np.zeros((size + fixed, size + fixed)), np.zeros((size + fixed, len(late)))

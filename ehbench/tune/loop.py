@@ -79,7 +79,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     areas = np.array([circuit.area_head, circuit.area_rod])
     head = METERED[function] == HEAD
     sources = [1, 2, *(i for i, name in enumerate(linear.states) if name == "p_supply")]
-    size, fixed = linear.a.shape[0], 2 * len(sources) if law.delay > 0 else 0
+    size, fixed = len(linear.a), 2 * len(sources) if law.delay > 0 else 0
     corners = [corner for corner in (law.washout, law.ramp_washout) if corner > 0]
     total = size + fixed + len(corners)
     a = np.zeros((total, total))
@@ -156,7 +156,7 @@ def _seen(a: np.ndarray, sources: Sequence[int], size: int, delay: float) -> np.
     states, shape (sources, states); ``sources`` are their own states.
 
     A delay [s] is written into ``a``, with states from ``size`` on."""
-    seen = np.zeros((len(sources), a.shape[0]))
+    seen = np.zeros((len(sources), len(a)))
     seen[range(len(sources)), sources] = 1.0
     if delay > 0:
         for k, source in enumerate(sources):
@@ -218,7 +218,7 @@ def system_of(a: np.ndarray, b: np.ndarray, c: np.ndarray):
 
 def speed_of(loop: Loop, gain: float):
     """Speed over desired speed."""
-    return system_of(loop.closed(gain), loop.d, np.eye(loop.a.shape[0])[0])
+    return system_of(loop.closed(gain), loop.d, np.eye(len(loop.a))[0])
 
 
 def _open_loops(loop: Loop, gain: float) -> list[OpenLoop]:
@@ -237,7 +237,7 @@ def bandwidth(loop: Loop, gain: float) -> float:
 
     On a grid of 200 frequencies a decade pair, between them by interpolation; python-control does
     the same one by one."""
-    a, n = loop.closed(gain), loop.a.shape[0]
+    a, n = loop.closed(gain), len(loop.a)
     size = np.abs(np.linalg.eigvals(a))
     omega = np.geomspace(1e-2, 10.0, 400) * np.abs(
         dominant(np.linalg.eigvals(loop.a), loop.fastest)

@@ -81,7 +81,7 @@ def _use(rig: Rig, circuit: Circuit, function: int) -> FunctionUse:
         FUNCTIONS[function],
         int(DIRECTION[function]),
         bool(OVERRUNNING[function]),
-        PATHS[cross] if cross >= 0 else "",
+        dict(enumerate(PATHS)).get(cross, ""),
         ("", "head", "rod")[METERED[function]],
         float(supply_draw(function, circuit)),
         tuple(edges),

@@ -49,7 +49,7 @@ class OpenLoop(NamedTuple):
     def response(self, omega: np.ndarray) -> np.ndarray:
         """L(jω) at frequencies [rad/s], the delay exact: at each the clock of the Padé states goes
         so fast that ``tan(ωT/2) = 6u/(12 − u²)``, the angle of their form at u."""
-        size = self.a.shape[0]
+        size = len(self.a)
         clock = np.repeat(omega[:, None], size, axis=1)
         if self.delay > 0.0:
             tangent = np.tan(0.5 * omega * self.delay)

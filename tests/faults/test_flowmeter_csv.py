@@ -201,10 +201,11 @@ def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
     assert not about([one], "check the unit")
 
 
+@pytest.mark.parametrize("limit", [math.inf, 0.0])
 @pytest.mark.parametrize(("scale", "says"), [(1.0, []), (60.0, ["flow_maps.flow_and_gain"])])
-def test_without_a_limit_of_the_supply_flows_are_doubted_by_the_gain(write, scale, says):
+def test_without_a_limit_of_the_supply_flows_are_doubted_by_the_gain(write, scale, says, limit):
     rig = shipped("slide_servo")
-    supply = rig.supply.model_copy(update={"flow_limit": math.inf})
+    supply = rig.supply.model_copy(update={"flow_limit": limit})
     endless = rig.model_copy(update={"supply": supply})
     fits = fit_rows(write, servo_rows("supply->head", 1, scale=scale), endless)
     assert [getattr(text, "key", "") for text in about(fits, "check the unit")] == says

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from ehbench.identification import covariance
 from ehbench.identification.covariance import (
     Block,
     Covariance,
@@ -20,6 +21,7 @@ from ehbench.identification.covariance import (
 from ehbench.identification.matching import Matching
 from ehbench.identification.problem import prior_of
 from ehbench.preprocessing.observations import count_error
+from tests.settings import answers
 
 NONE = Prior(np.zeros(2), np.zeros(2), 1.0)
 
@@ -79,6 +81,27 @@ def test_coloured_noise_gives_the_analytic_sandwich(pole, which):
     assert np.all((0.85 < ratio) & (ratio < 1.08)), ratio
 
 
+def test_scores_have_the_weights_of_bartlett_and_the_quantile_of_their_share():
+    """To four correlation times of 2.3 samples, that is 10 lags of 400."""
+    block = solved(regressors(400), ar1(np.random.default_rng(2), 400, 0.6))
+    columns, left = block.jacobian[:, 0], block.residuals[:, 0]
+    scores = columns * left[:, None]
+    meat = scores.T @ scores
+    for lag in range(1, 11):
+        pairs = scores[lag:].T @ scores[:-lag]
+        meat += (1.0 - lag / 11.0) * (pairs + pairs.T)
+    bread = np.linalg.inv(columns.T @ columns)
+    with answers(covariance, correlation_time=2.3):
+        found = covariance_of([block], NONE)
+    assert found.hac == pytest.approx(bread @ meat @ bread, rel=1e-6)
+    share = 10.0 / 400.0  # of the lags
+    assert found.quantile == pytest.approx(1.96 + 2.97 * share + 0.416 * share**2)
+    nothing = replace(block, jacobian=block.jacobian[..., :0])
+    assert covariance_of([nothing], Prior(np.zeros(0), np.zeros(0), 1.0)).quantile == 1.96
+    with answers(covariance, correlation_time=1e3):  # no more than a quarter of all
+        assert covariance_of([block], NONE).quantile == pytest.approx(1.96 + 2.97 / 4 + 0.416 / 16)
+
+
 def test_white_noise_gives_the_textbook_covariance():
     columns, rng = regressors(4000), np.random.default_rng(5)
     block = solved(columns, 0.2 * rng.standard_normal(4000))
@@ -92,6 +115,35 @@ def test_white_noise_gives_the_textbook_covariance():
         -np.sum(columns[:, 0] * columns[:, 1]) / np.sqrt(np.prod(np.sum(columns**2, axis=0))),
         abs=0.1,
     )
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_standard_errors_go_with_the_unit_of_the_parameters(unit):
+    """Of three logs that disagree, with starts, readings in counts and a prior."""
+    rng, columns, blocks = np.random.default_rng(6), regressors(600), []
+    for off in (-0.6, 0.2, 0.4):
+        start = np.exp(-8.0 * np.linspace(0.0, 1.0, 600))[:, None]
+        block = solved(columns, ar1(rng, 600, 0.5), start)
+        left = block.residuals + off * columns[:, :1]
+        blocks.append(replace(block, residuals=left, readings=np.round(left), coarse=np.ones(1)))
+    prior = Prior(np.array([9.0, 0.0]), np.zeros(2), 1.0)
+    plain = covariance_of(blocks, prior)
+    others = [replace(block, jacobian=unit * block.jacobian) for block in blocks]
+    found = covariance_of(others, replace(prior, sharpness=unit * prior.sharpness))
+    for name in ("hac", "acf", "counts", "jackknife"):
+        assert unit**2 * getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-6)
+    assert unit * found.alone == pytest.approx(plain.alone)
+    for name in ("correlation", "from_data", "from_starts", "quantile"):
+        assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-6)
+    known, whole = np.zeros((2, 2, 2)) + np.diag(prior.sharpness**2)
+    for block in blocks:
+        j, s = block.jacobian[:, 0], block.start_jacobian[:, 0]
+        known += j.T @ j
+        whole += j.T @ j - (j.T @ s) @ (s.T @ j) / (s.T @ s + 1.0)
+    best, wide = (np.diag(np.linalg.inv(item)) for item in (known, whole))
+    assert plain.from_starts == pytest.approx(1.0 - best / wide)
+    assert plain.from_data == pytest.approx(1.0 - prior.sharpness**2 * wide)
+    assert 0.01 < plain.from_starts.min() and plain.from_data[0] < 0.95
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
@@ -202,6 +254,7 @@ def test_a_count_is_an_error_of_a_reading_without_noise(noise, error):
     [
         ((4.0, 1.0, 1.0), None, "hac", 2.0),
         ((1.0, 4.0, 1.0), None, "acf", 2.0),
+        ((0.25, -4.0, 0.01), None, "hac", 0.5),  # no autocovariance need be positive
         ((1.0, 2.0, 9.0), None, "counts", 3.0),
         ((4.0, 4.0, 1.0), 9.0, "jackknife", 3.0),
     ],

@@ -14,13 +14,16 @@ from ehbench.identification import (
     basins,
     descent,
     estimate,
+    frequency_domain,
     hydraulics,
     matching,
     means,
     results,
     sensitivity,
     simulator,
+    uncertainty,
 )
+from ehbench.identification import problem as problem_module
 from ehbench.identification.band import Band
 from ehbench.identification.covariance import Block
 from ehbench.identification.descent import carried, step
@@ -46,10 +49,11 @@ from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
 from ehbench.identification.simulator import Effort, Log
 from ehbench.identification.uncertainty import _fitted
+from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.sensors import VAGUE
 from ehbench.signals.series import Ringing, correlation_time
 from ehbench.vocabulary.errors import InputError, InsufficientData
-from ehbench.vocabulary.terms import BEYOND, Z95
+from ehbench.vocabulary.terms import BEYOND, CORRELATED, Z95
 from tests import analytic_fit
 from tests.settings import answers
 from tests.shared import refused, shipped
@@ -169,6 +173,17 @@ def test_logs_that_are_compared_as_means_are_listed_by_how_many():
     assert alone.fields["logs"] == "of 10" and "100 Hz" in alone and "1 kHz" in alone
 
 
+def test_means_leave_out_what_is_white_in_them(rng):
+    """Of ten samples all but a tenth of its power; every sample leaves out nothing."""
+    noise = 0.3 * rng.standard_normal(20000)
+    plain = log_of(v=noise, p_head=np.arange(20000.0))
+    tens = replace(plain, means=BlockAverages.of(plain.record, 10))
+    assert tens.within == pytest.approx([0.3 * math.sqrt(0.9), 0.0], rel=0.03, abs=1e-6)
+    assert plain.within.tolist() == [0.0, 0.0]
+    spectral: Any = Stub()
+    assert replace(plain, band=spectral).coarse.tolist() == [0.0, 0.0]
+
+
 def test_what_is_not_excited_stays_at_its_start_and_is_of_the_data():
     place = Coordinate("carriage.damping", True, 1.0, 2.0, 0.5, 4.0)
     item = results.not_excited(place, 9)
@@ -188,14 +203,49 @@ def test_a_parameter_that_its_range_tells_is_as_sure_as_that_is_wide():
     assert (item.status, item.error_from, item.samples) == ("estimated", "range", 40)
 
 
+@pytest.mark.parametrize(
+    ("size", "alone", "std", "likeness", "inside", "kind"),
+    [
+        (1.1, 0.9, 0.9, 0.99, (0, 1), "estimated"),
+        (0.9, 0.9, 0.9, 0.99, (0, 1), "not_excited"),
+        (1.1, 1.1, 0.9, 0.99, (0, 1), "not_excited"),
+        (1.1, 0.9, 1.1, 0.99, (0, 1), "correlated"),
+        (1.1, 0.9, 0.9, -1.01, (0, 1), "correlated"),
+        (1.1, 0.9, 0.9, -1.01, (0,), "estimated"),  # the other is known at its bound
+        (1.1, 0.9, 1.1, 0.99, (1,), "at_bound"),
+    ],
+)
+@pytest.mark.parametrize("log", [True, False])
+def test_an_error_means_what_its_sizes_say(size, alone, std, likeness, inside, kind, log):
+    """In units of what is faint, vague and correlated."""
+    place = Coordinate("carriage.damping", log, 1.0, 2.0, 0.5, 4.0)
+    vague = uncertainty.VAGUE[log]
+    match = Stub(correlation=np.array([[1.0, likeness * CORRELATED], [likeness * CORRELATED, 1.0]]),
+                 error=lambda k: ([std, 0.1][k] * vague, 2.0 + k, "acf"), hac=np.eye(2),
+                 alone=vague * np.array([alone, 0.1]), from_data=np.array([0.5, 1.0]),
+                 from_starts=np.array([0.25, 0.0]))  # fmt: skip
+    asked: Any = Stub(search=[place, replace(place, name="bulk_modulus")])
+    state: Any = Stub(live=(0, 1))
+    with answers(uncertainty, linearised=[], covariance_of=match, prior_of=None,
+                 effects=uncertainty.PROBLEM.faint * np.array([size, 9.0]),
+                 _at_bound=lambda _, __, i: i not in inside):  # fmt: skip
+        found = uncertainty.errors_of(asked, state)
+    error = found.by_index[0]
+    assert (error.kind, error.std, error.quantile) == (kind, std * vague, 2.0)
+    assert (error.source, error.from_data, error.from_starts) == ("acf", 0.5, 0.25)
+    names = ("carriage.damping", "bulk_modulus")
+    assert found.names == tuple(names[k] for k in inside)
+    assert found.correlation.shape == (len(inside), len(inside))
+
+
 # --- frequency responses
 
 
-@pytest.mark.parametrize("scatter", [0.0, 0.2])
-def test_a_response_is_late_by_the_slope_of_its_phase(scatter):
+@pytest.mark.parametrize(("level", "scatter"), [(80.0, 0.0), (80.0, 0.2), (1e-3, 0.0)])
+def test_a_response_is_late_by_the_slope_of_its_phase(level, scatter):
     """Least squares of the difference by ω, each number by its size; one error is the least."""
     f = np.linspace(1.0, 9.0, 33)
-    size = 80.0 / f
+    size = level / f
     bend = scatter * np.where(np.arange(33) % 3, 1.0, -1.0)
     seen = size * np.exp(-1j * (2.0 * np.pi * f * 4e-3 + bend))
     band = Band("u", Averaging(), np.arange(33), f, np.ones((33, 1)))
@@ -209,9 +259,23 @@ def test_a_response_is_late_by_the_slope_of_its_phase(scatter):
     assert bool(scatter) == (spread > 1.0)
 
 
+def test_a_late_response_is_told_with_its_interval_in_milliseconds():
+    """Where it is late by more than its error and a part of a sample."""
+    log: Any = Stub(name="log", channels=("a", "b", "c"), record=Stub(sample_time=TICK))
+    log.band = Stub(command="u", lateness=lambda built, seen: (built[0], seen[0]))
+    log.recorded = np.array([[1e-4, 1e-3, 1.0]])
+    notes: Any = frequency_domain.late_responses(log, np.array([[0.02, -0.03, 0.05]]))
+    told = [(n.fields["channel"], n.fields["word"], n.fields["delay"]) for n in notes]
+    assert told == [("a", "behind", pytest.approx(20.0)), ("b", "ahead of", pytest.approx(30.0))]
+    assert [n.fields["half"] for n in notes] == pytest.approx([0.196, 1.96], rel=1e-3)
+
+
 def test_what_a_channel_answers_nowhere_is_known_of_nothing():
     band = Band("u", Averaging(), np.arange(4), np.arange(1.0, 5.0), np.ones((4, 1)))
     assert band.lateness(np.zeros(8), np.zeros(8)) == pytest.approx((0.0, 1e150))
+    one = np.eye(8)[1]
+    late = band.lateness(one, np.append(np.zeros(5), -1.0) @ np.eye(6, 8))  # at 2 Hz, by 90°
+    assert late == pytest.approx((0.125, 1.0 / (4.0 * math.pi)))
 
 
 def test_a_log_is_compared_by_its_response_in_units_of_its_errors(rng):
@@ -573,6 +637,74 @@ def test_scales_are_of_what_is_left_and_of_what_means_leave_out_but_no_less_than
     assert weighed(noisy, state, scales=False).scales == state.scales
 
 
+def test_residuals_elsewhere_take_steps_of_their_own_from_the_starts_of_a_state():
+    """As fine as a fit's, and none where a log fails."""
+    asked, seen = analytic_fit.problem(), []
+    plain = asked.simulator.simulate
+
+    def simulate(vectors, chosen, shifts, slack):
+        seen.append((chosen, shifts, slack))
+        rows = plain(vectors, chosen, shifts)
+        return [*rows[:-1], [None, *rows[-1][1:]]]
+
+    state = replace(initial(asked), shifts=[np.ones(1), -np.ones(1)])
+    with answers(asked.simulator, simulate=simulate):
+        first, second = problem_module.residuals_at(asked, state, [state.theta, state.theta])
+    assert seen == [(None, state.shifts, 1.0)] and second is None
+    expected = evaluate(asked, state).here.residuals
+    for part, other in zip(first or [], expected, strict=True):
+        assert part == pytest.approx(other)
+    assert Effort() == Effort(0, 0)
+
+
+@pytest.mark.parametrize(
+    ("step", "words", "paced", "means"),
+    [(AUTO, ("x", "p_head"), True, True), (AUTO, ("x", "opening"), True, False),
+     (AUTO, ("x", "flow"), False, False), (5e-4, ("x",), False, False)],
+)  # fmt: skip
+def test_a_log_is_simulated_in_chosen_steps_unless_flows_are_compared(step, words, paced, means):
+    """Over vectors and logs; what makes no rig or fails has no channels."""
+    asked: list = []
+
+    class Model:
+        def replay_paced(self, true, start, mesh, slack, averages):
+            asked.append((true, start, mesh.tolist(), slack, averages))
+            return "paced", np.array([7.0])
+
+        def replay(self, true, step, start):
+            asked.append((true, start, step))
+            return "even"
+
+    def begin(model, shift, shared):
+        if shift[0] > 1.0:
+            raise ArithmeticError
+        return shift[0], shared
+
+    start = Stub(begin=begin, seen=lambda replayed, shift, _: (replayed, shift[0]))
+    log = Stub(channels=[f"press.{word}" for word in words], start=start, means="means")
+    log.payload = None
+    work: Any = object.__new__(simulator.Simulator)
+    work.names, work.shared, work.logs, work.step = ("a", "bias"), {"bias"}, [log, log], step
+    work.effort, work.workers = Effort(), 1
+
+    def models(values):
+        if values[0] < 0.0:
+            raise ArithmeticError
+        return {None: Model()}
+
+    work.models = models
+    points = [([1.0, 0.5], 0, [0.25]), ([1.0, 0.5], 1, [2.0]), ([-1.0, 0.5], 0, [0.0])]
+    with answers(simulator, channels_of=lambda _, seen: seen):
+        row, meshes = work.each(points, [np.array([3.0]), np.array([4.0])], 0.1)
+        lists = work.simulate([[1.0, 0.5]] * 2, [1, 0], [[0.0], [0.5]])
+    shown = "paced" if paced else "even"
+    assert row == [(shown, 0.25), None, None]
+    assert [mesh.tolist() for mesh in meshes] == [[7.0] if paced else [], [], []]
+    given = ([3.0], 0.1, "means" if means else None) if paced else (step,)
+    assert asked[0] == ({"bias": 0.5}, 0.25, *given)
+    assert lists == [[(shown, 0.5), (shown, 0.0)]] * 2 and work.effort.evaluations == 7
+
+
 def test_an_effect_is_the_largest_of_any_channel_as_a_share_of_its_spread():
     asked = replace(analytic_fit.problem(), spread={"press.x": 2.0, "press.v": 8.0})
     state = replace(initial(asked), scales={"press.x": 1.0, "press.v": 4.0})
@@ -607,6 +739,37 @@ def test_a_look_goes_a_decade_either_way_and_varies_the_damping_by_four():
     asked = replace(asked, search=(*asked.search[:2], replace(asked.search[2], upper=0.06)))
     top = np.array(basins._points(asked, theta, [2], [])[0])[:, 2].max()
     assert top == pytest.approx(math.log(0.06) - 1e-6, abs=1e-9)
+    asked = replace(asked, search=(*asked.search[:2], replace(asked.search[2], lower=0.04)))
+    bottom = np.array(basins._points(asked, theta, [2], [])[0])[1:, 2].min()
+    assert bottom == pytest.approx(math.log(0.04) + 1e-6, abs=1e-9)
+
+
+def test_a_slope_is_the_same_on_either_side_of_a_bound():
+    asked = analytic_fit.problem((2.0, 1.0, 1.0))
+    state = initial(asked)
+    top = replace(asked.search[0], upper=asked.search[0].at(state.theta[0]))
+    ended = replace(asked, search=(top, *asked.search[1:]))
+    within, at_end = (jacobian(item, evaluate(item, state), [0])[0] for item in (asked, ended))
+    assert at_end == pytest.approx(within, abs=1e-3 * float(np.abs(within).max()))
+
+
+@pytest.mark.parametrize(("much", "misfit"), [(True, 3.0), (False, 5.0)])
+def test_a_search_goes_on_from_where_one_number_stays_only_if_that_ends_better(much, misfit):
+    """From a look's 9 to 8; without the first to 7, and with it to 6; without the second no
+    better. Where little is left the look's is taken."""
+    asked = plain_problem()
+    ends = {(9, 9, 0, 1): (8, 5.0), (1, 1, 0, 1): (1, 6.0), (1, 8, 1): (7, 4.0),
+            (7, 7, 0, 1): (6, 3.0), (6, 1, 0): (5, 3.5)}  # fmt: skip
+
+    def coarse(_, __, start, free):
+        at, left = ends[(*map(int, start), *free)]
+        return basins._End(replace(state, theta=np.full(2, float(at))), left, much)
+
+    state = State(np.ones(2), [], {}, np.ones((2, 0)), (0, 1))
+    worse = basins._End(state, 7.0, True)
+    with answers(basins, _coarse=coarse, _look=([np.full(2, 9.0)], []), _chain=worse):
+        found = basins.nearest_basin(asked, state).theta.tolist()
+    assert found == [float({end: at for at, end in ends.values()}[misfit])] * 2
 
 
 # --- between which values the logs do not deny a parameter
@@ -942,6 +1105,21 @@ def test_an_edge_has_the_numbers_of_its_law_or_the_factor_of_its_map(word, mappe
     assert f"{fields['edge']}.{word}" == names[1]
 
 
+@pytest.mark.parametrize("model", [None, "a model of one's own"])
+@pytest.mark.parametrize(("method", "fit"), [("thesis", "matched"), ("output_error", "estimated")])
+def test_a_fit_is_by_its_method_and_tries_a_foreign_model_where_it_begins(method, fit, model):
+    tried = []
+    simulator = Stub(replay=lambda starts, _: tried.append(starts), unshifted=lambda: [])
+    place = Coordinate("carriage.damping", True, 1.0, 2.0, 0.5, 4.0)
+    log = Stub(start=Stub(terms=()))
+    asked: Any = Stub(options=hydraulics.FitOptions(method=method), search=[place], logs=[log])
+    asked.rig = Stub(model=model)
+    with answers(hydraulics, simulator_of=simulator, problem_over=None, estimate=("estimated", 0),
+                 Matching=Stub(fit=lambda: "matched")):  # fmt: skip
+        found: Any = hydraulics.run_fit(asked)
+    assert (found, tried) == (fit, [[2.0]] if model else [])
+
+
 # --- windows of ringing
 
 
@@ -981,6 +1159,21 @@ def test_ringing_is_looked_for_after_each_change_of_a_cylinders_own_command():
     assert said.value.hint is None
 
 
+def test_ringing_is_of_the_cylinder_whose_command_changes_and_not_of_one_whose_command_stands():
+    rig, log = shipped("thesis_arm"), ringing_log(2.0, (300,))
+    y, given = log.recorded, {}
+    for cylinder, valve in rig.valves():
+        steps = cylinder is rig.cylinder[0]
+        given[f"{cylinder.name}.{valve.name}.command"] = np.where(
+            log.record.t < 0.3, 5.0, 5.0 + steps
+        )
+    names = tuple(f"{cylinder.name}.p_head" for cylinder in rig.cylinder)
+    log = replace(log, record=replace(log.record, channels=given), channels=names, recorded=y)
+    simulator: Any = Stub(rig=rig, logs=[log])
+    (found,) = matching.find_windows(simulator, lambda *_: None)
+    assert (found.cylinder, found.columns) == (rig.cylinder[0].name, (0,))
+
+
 @pytest.mark.parametrize("silent", [0, 1])
 def test_what_was_matched_is_told_with_its_scatter_and_what_is_silent(silent):
     place = Coordinate("carriage.damping", True, 1.0, 2.0, 0.5, 8.0)
@@ -1000,6 +1193,7 @@ def test_what_was_matched_is_told_with_its_scatter_and_what_is_silent(silent):
     assert keys == (["still_moving", "model_is_silent"] if silent else [])
     assert not silent or built.warnings[1].fields["count"] == 1
     assert built.matches[0].start == pytest.approx(0.009)
+    assert built.correlation.shape == (0, 0)
     work.live = []
     with refused("identification.no_ringing_tells", InsufficientData):
         work._result(stand, {}, True)
@@ -1188,6 +1382,28 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
     full = record.channels | {"press.p_head": np.full(600, 0.9 * limit)}
     counts, notes = simulator._counts("log", SLIDE, Record(record.t, full), channels)
     assert counts.all() and not notes
+
+
+def test_samples_of_a_pressure_at_the_end_of_its_sensor_do_not_count():
+    """A stroke may stand at its end."""
+    y = np.minimum(np.sin(0.02 * np.arange(900)), 0.8)
+    record = Record(np.arange(900) * TICK, {"press.p_head": 1e6 * (2.0 + y), "press.x": 2.0 + y})
+    counts, notes = simulator._counts("log", SLIDE, record, ["press.x", "press.p_head"])
+    assert counts[:, 0].all() and not notes
+    assert np.flatnonzero(~counts[:, 1]).tolist() == np.flatnonzero(y == 0.8).tolist()
+
+
+@pytest.mark.parametrize(
+    ("role", "owner", "matched"),
+    [("frequency", "", True), ("frequency", "a", False), ("decay", "a", True),
+     ("decay", "", True), ("", "", False), ("", "a", False)],
+)  # fmt: skip
+def test_ringing_tells_of_the_oil_and_of_dampings(role, owner, matched):
+    search: Any = [Stub(row=Stub(mode_role=role), owner=owner, name="x")]
+    if matched:
+        return matching.refuse_unmatched(search)
+    with refused("identification.thesis_parameter", InputError):
+        matching.refuse_unmatched(search)
 
 
 @pytest.mark.parametrize(("share", "moves"), [(0.9, False), (1.1, True)])

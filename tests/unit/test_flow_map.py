@@ -338,6 +338,30 @@ def test_non_negative_least_squares_are_those_of_scipy(guess):
         np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-10)  # pyright: ignore[reportCallIssue]
 
 
+@pytest.mark.parametrize(
+    ("given", "volts", "soft", "sharp"),
+    [
+        ({}, [1, 2.5, 3.5, 4.5, 5.5, 6], [], []),
+        ({"soft": True}, [1, 2, 2.5, 3.5, 4.5, 5.5, 6], [0, 1], []),
+        ({"kinks": (3.2,)}, [1, 2.5, 3.19, 3.21, 4.5, 5.5, 6], [], [2]),
+        ({"kinks": (3.2, 5.8)}, [1, 2.5, 3.19, 3.21, 4.5, 5.79, 5.81, 6], [], [2, 5]),
+        ({"kinks": (0.9, 1.9, 6.5)}, [1, 2.5, 3.5, 4.5, 5.5, 6], [], []),
+        ({"deadband": 2.6}, [2.6, 3.5, 4.5, 5.5, 6], [], []),
+    ],
+)
+def test_a_spline_breaks_between_commands_and_about_its_kinks(given, volts, soft, sharp):
+    """At a hundredth of the gap to either side; softly over two spans from the deadband."""
+    above, axis = np.arange(2.0, 7.0), Axis(np.linspace(0.0, 1.0, 4), 3)
+    spline = Spline(given.pop("deadband", 1.0), above, axis, **given)
+    assert spline.volts == pytest.approx(volts)
+    free = np.ones(len(volts) - 1)
+    free[soft], free[sharp] = 1e-9, 1e-7
+    assert spline.along_u.stiffness == pytest.approx(free, rel=1e-9)
+    assert (spline.sign > 0.0).all()
+    falls = Spline(1.0, above, axis, rising=4.4).sign.reshape(spline.columns, -1)
+    assert falls[0].tolist() == [1, 1, 1, 1, -1, -1] and (falls == falls[0]).all()
+
+
 @pytest.mark.parametrize("spans", [3, 5, 12, None])
 @pytest.mark.parametrize("rising", [np.inf, 3.0])
 def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, rising):
@@ -416,6 +440,9 @@ def test_readings_have_levels_and_drops_that_differ():
     flow = 5e-3 * command * np.sqrt(drop / 8e6)
     readings = sort_readings("v", readings_table(command, drop, flow), FlowMapOptions(), 0.0)
     assert np.unique(readings.level).size == 4 and readings.places_read.size == 4
+    assert np.unique(readings.cell).size == 16
+    first = readings_module.first_noise(readings)
+    assert first == readings_module.Noise({"flowmeter": (3e-3, 1e-2)}, 0)
     assert readings.roots == pytest.approx([0.0, *readings.places_read])
     command = np.repeat([2.0, 3.0, 4.0, 5.0], 90)
     drop = np.tile(8e6 * np.linspace(0.05, 1.0, 90) ** 2, 4)
@@ -434,6 +461,15 @@ def test_readings_know_from_where_their_command_came():
     assert turned.tolist() == [*[-1] * 6, 0, *[1] * 6, 0]
 
 
+def test_a_hysteresis_moves_commands_by_half_of_it_but_not_below_zero():
+    up = [0.0, 0.1, 2.0, 3.0, 4.0, 5.0]
+    command, drop = np.tile([*up, *up[::-1]], 4), np.repeat([1e6, 2e6, 3e6, 4e6], 12)
+    rows = readings_table(command, drop, 1e-5 * command, trial=np.repeat(np.arange(4), 12))
+    readings = sort_readings("v", rows, FlowMapOptions(), 0.4)
+    moved = [0.0, 0.0, 1.8, 2.8, 3.8, 4.8, 4.8, 4.2, 3.2, 2.2, 0.3, 0.2]
+    assert readings.u == pytest.approx(np.tile(moved, 4)[readings.row])
+
+
 @pytest.mark.parametrize(("least", "silent"), [(0.0, 5), (-1e-6, 0)])
 def test_a_meter_that_reads_nothing_below_its_first_reading_is_silent_there(least, silent):
     """One that also reads less than nothing shows its noise about zero instead."""
@@ -443,6 +479,13 @@ def test_a_meter_that_reads_nothing_below_its_first_reading_is_silent_there(leas
     readings = sort_readings("v", readings_table(command, drop, flow), FlowMapOptions(), 0.0)
     assert np.count_nonzero(readings.silent) == silent
     assert set(readings.limit.tolist()) == {2e-5 if silent else 0.0}
+
+
+def test_medians_are_those_of_each_group():
+    rng, group = np.random.default_rng(3), np.repeat([2, 0, 3, 1], [1, 4, 7, 2])
+    values = rng.standard_normal(14)
+    expected = [np.median(values[group == k]) for k in range(4)]
+    assert readings_module.medians(values, group) == pytest.approx(expected)
 
 
 def test_the_farthest_three_readings_may_always_be_left_out():
@@ -475,20 +518,22 @@ def test_a_kink_between_two_drops_is_in_the_standard_error(bends, share):
     assert results._between(result, s, s) == pytest.approx(0.0, abs=1e-20)
 
 
-def test_how_a_flow_starts_between_two_commands_is_in_the_standard_error():
+@pytest.mark.parametrize(("opens", "told"), [(0, [0]), (1, [0, 2]), (2, [2, 4])])
+def test_how_a_flow_starts_between_two_commands_is_in_the_standard_error(opens, told):
     """Flow 2 a volt from 1.4 V on: its slope is 1.2 from 1 to 2 V and 2 beyond, so a kink of 2 in
-    the gap below 2 V, one of 0.8 in that above, and none farther up, where another kink lies."""
+    the gap below 2 V, one of 1.2 and of 0.8 in those next to it. Only what is next to the lowest
+    command with flow is told."""
     starts = lambda u, s: 2.0 * np.maximum(u - 1.4, 0.0) + 5.0 * np.maximum(u - 4.0, 0.0)
     result = SimpleNamespace(
         readings=SimpleNamespace(roots=np.array([0.2, 0.5]), levels=np.arange(7.0)),
         solution=SimpleNamespace(at=starts),
         shape=SimpleNamespace(along_s=SimpleNamespace(kink=False)),
-        window=SimpleNamespace(opens=2),
+        window=SimpleNamespace(opens=opens),
     )
     u = np.array([0.5, 1.0, 1.4, 2.0, 2.5, 3.5, 4.5])
     std = np.sqrt(results._between(result, u, np.full(u.size, 0.3)))
-    held = [0.0, 0.0, 2.0 * 0.4 * 0.6, 0.0, 0.8 * 0.25, 0.0, 0.0]
-    assert std == pytest.approx(0.25 * np.array(held), abs=1e-12)
+    every = np.array([1.2 * 0.25, 0.0, 2.0 * 0.4 * 0.6, 0.0, 0.8 * 0.25, 5.0 * 0.25, 5.0 * 0.25])
+    assert std == pytest.approx(0.25 * every * np.isin(np.arange(7), told), abs=1e-12)
 
 
 def test_a_miss_beyond_chance_is_in_the_standard_error():
@@ -505,9 +550,9 @@ def test_a_miss_beyond_chance_is_in_the_standard_error():
         solution=SimpleNamespace(cells=cells, at=lambda u, s: np.ones(u.size)),
         deadband=SimpleNamespace(value=1.5),
     )
-    variance = results._missed(result, np.array([3.0, 9.0]), np.array([0.5, 0.5]))
+    variance = results._missed(result, np.array([3.0, 9.0, 3.0]), np.full(3, 0.5))
     sure = 1.0 + 1.6 * math.sqrt(2.0)
-    assert variance == pytest.approx([0.01 - sure * 1e-4, 0.02**2 - sure * 1e-4])
+    assert variance == pytest.approx(np.array([0.01, 0.02**2, 0.01]) - sure * 1e-4)
     cells.y[:] = 1.015
     assert not results._missed(result, np.array([3.0]), np.array([0.5])).any()
     result.deadband.value = 10.0
@@ -534,6 +579,9 @@ def test_trials_scatter_as_dersimonian_and_laird_have_it():
     result.keep = trial < 3
     between = np.var(factors[:3], ddof=1) - 1.0 / precision
     assert results._trial_scatter(result) == pytest.approx(math.sqrt(between / 3.0))
+    result.keep = trial < 2
+    between = np.var(factors[:2], ddof=1) - 1.0 / precision
+    assert results._trial_scatter(result) == pytest.approx(math.sqrt(max(between, 0.0) / 2.0))
     result.residuals *= 0.1
     assert results._trial_scatter(result) == 0.0
     result.keep = trial < 1
@@ -572,19 +620,22 @@ class Bend:
         return self
 
 
-def test_a_kink_is_placed_by_its_likelihood(monkeypatch):
-    """Normal about 5.03 V by 0.2 V: its error, that of the grid, and 95 % with a step to spare."""
+@pytest.mark.parametrize("spread", [0.05, 0.2])
+def test_a_kink_is_placed_by_its_likelihood(monkeypatch, spread):
+    """Normal about 5.03 V: its error, that of the grid, and 95 % with a step to spare."""
     square = lambda shape, moved, cells: np.array(
-        [((m.kinks[-1] - 5.03) / 0.2) ** 2 for m in moved]
+        [((m.kinks[-1] - 5.03) / spread) ** 2 for m in moved]
     )
     monkeypatch.setattr(shapes, "likelihoods", square)
     above = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0])
     kink = shapes._place(Bend(above, (2.5, 5.4)), None)
     step = 3.0 / 61.0
     assert kink.value == pytest.approx(5.03, abs=0.5 * step)
-    assert kink.std == pytest.approx(math.sqrt(0.04 + step**2 / 12.0), rel=0.02)
-    assert kink.interval == pytest.approx((5.03 - 0.392, 5.03 + 0.392), abs=1.6 * step)
-    assert kink.interval[1] - kink.interval[0] > 2.0 * 0.392
+    assert kink.std == pytest.approx(math.sqrt(spread**2 + step**2 / 12.0), rel=0.02)
+    assert kink.interval == pytest.approx(
+        (5.03 - 1.96 * spread, 5.03 + 1.96 * spread), abs=1.6 * step
+    )
+    assert kink.interval[1] - kink.interval[0] > 2.0 * 1.96 * spread
     gaps = shapes.gaps_of(above, (kink,))
     ends = [(gap[0], gap[-1]) for gap in gaps]
     inner = [(2.0, 3.0), (3.0, 4.0), (4.0, 5.0), (6.0, 7.0)]

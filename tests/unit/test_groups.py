@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ehbench.identification import uncertainty
-from ehbench.identification.groups import _leaders, groups_of, sentence
+from ehbench.identification.groups import _leaders, _percent, _rounded, groups_of, sentence
 from ehbench.identification.search import Coordinate
 from ehbench.identification.uncertainty import together
 
@@ -72,11 +72,12 @@ def test_parameters_that_hang_together_are_one_note():
     assert together(names, correlation, [{"a", "b", "c"}, {"d", "e"}]) == []
 
 
-def test_a_product_is_known_by_what_another_parameter_does_not_explain(monkeypatch):
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_a_product_is_known_by_what_another_parameter_does_not_explain(monkeypatch, unit):
     """Two gains move the readings by a + 3 b, an offset moves them by b: a alone tells of them."""
     columns = np.zeros((40, 3))
-    columns[:20] = 5.0 * np.array([1.0, 1.0, 0.0])
-    columns[20:] = 4.0 * np.array([3.0, 3.0, 1.0])
+    columns[:20] = unit * 5.0 * np.array([1.0, 1.0, 0.0])
+    columns[20:] = unit * 4.0 * np.array([3.0, 3.0, 1.0])
     search = [Coordinate(n, True, 1.0, 1.0, 0.1, 9.0) for n in ("a.flow_gain", "b.flow_gain")]
     search.append(Coordinate("press.friction_coulomb", False, 1.0, 0.0, -9.0, 9.0))
     problem = SimpleNamespace(search=search, requested=3, limit_at=lambda *_: "")
@@ -86,7 +87,7 @@ def test_a_product_is_known_by_what_another_parameter_does_not_explain(monkeypat
     errors.alone = 1.0 / np.sqrt(np.diag(errors.blocks[0]))  # no widening
     (group,) = uncertainty._groups(problem, errors)
     assert group.powers == {"a.flow_gain": 1.0, "b.flow_gain": 1.0}
-    assert group.std == pytest.approx(1.0 / math.sqrt(20 * 25.0), rel=1e-3)
+    assert group.std == pytest.approx(1.0 / math.sqrt(20 * 25.0) / unit, rel=1e-3)
 
 
 @pytest.mark.parametrize("powers", [(1, 1), (1, -1), (2, -1), (1, 0.3)])
@@ -119,6 +120,28 @@ def test_what_leads_would_make_another_four_times_as_sure(correlation, leads):
     pair = np.array([[4.0, 2.0 * correlation], [2.0 * correlation, 1.0]])
     three = np.block([[pair, np.zeros((2, 1))], [np.zeros((1, 2)), np.eye(1)]])
     assert len(_leaders(three)) == leads and not {2} & {*_leaders(three)}
+
+
+@pytest.mark.parametrize(
+    ("power", "rounded"),
+    [
+        ([1.0, -0.34, 0.04], [1.0, -0.34, 0.0]),  # halves would be known no better than a factor
+        ([1.0, -0.503, 0.04], [2.0, -1.0, 0.0]),
+        ([1.0, -0.997, 0.04], [1.0, -1.0, 0.0]),
+    ],
+)
+def test_exponents_are_of_halves_that_are_known_or_have_two_digits(power, rounded):
+    """Of a product that is known to 1 % where all else is not known at all."""
+    power = np.array(power)
+    known = np.outer(power, power) / (power @ power)
+    assert _rounded(power, np.eye(3) - (1.0 - 1e-4) * known).tolist() == rounded
+
+
+@pytest.mark.parametrize(
+    ("std", "shown"), [(0.1, "20 %"), (0.6, "3.2"), (2.9, "2.9e+02"), (3.1, "unknown")]
+)
+def test_a_factor_is_known_by_its_interval_to_a_percentage_a_factor_or_not_at_all(std, shown):
+    assert _percent(std).endswith(shown)
 
 
 def test_one_parameter_is_no_product():

@@ -550,6 +550,16 @@ def test_a_case_counts_its_blocks_by_the_memory_of_each_channel(rng):
     assert [cases.Case._moves(Stub(record=flat), name) for name in "xvq"] == [False, True, False]
 
 
+def test_a_model_follows_a_log_from_the_best_start_but_where_that_is_not_refined():
+    case = cases.Case("log", Record(np.arange(5.0), {}), MODEL, ())
+    shifts = []
+    for item in (case, replace(case, refined=False)):
+        vars(item).update(_start=Stub(uncertain=("x",)), _of_cylinders=())
+        with answers(cases, best_shifts=np.array([2.0])):
+            shifts += item._shifts.tolist()
+    assert shifts == [2.0, 0.0]
+
+
 def test_scales_of_a_log_tell_a_drive_by_commands_of_several_sizes():
     log = {"press.servo.command": np.array([0.0, 1.0, -5.0, 5.0]), "x": np.array([1.0, 5.0])}
     some: Any = Stub(cylinder=Stub(name="press"), records=[log], reach=5.0, channel="x")

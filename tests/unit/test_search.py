@@ -72,7 +72,7 @@ def test_a_search_from_afar_finds_the_truth_and_how_sure_it_is(factors, most):
     asked = problem(factors)
     state = nearest_basin(asked, initial(asked))
     assert asked.simulator.effort.evaluations <= most
-    state, converged = settle(asked, state, 1e-6)
+    state, converged = settle(asked, state)
     assert converged and asked.simulator.effort.evaluations <= most + 10
     truth = joint(state)
     normal = truth.jac.T @ truth.jac
@@ -120,7 +120,7 @@ def test_a_parameter_that_runs_into_its_bound_or_near_stands_there(i, upper, fix
 def test_two_gains_that_the_logs_know_as_a_product_hang_together(prior, kind, share):
     """A prior of 2 % of the one is all that is known of it, and of the other."""
     asked = problem(more=(TWIN, 1.0, 0.05, 20.0, prior, 1.0))
-    state, _ = settle(asked, initial(asked), 1e-6)
+    state, _ = settle(asked, initial(asked))
     errors = errors_of(asked, evaluate(asked, state))
     assert [errors.by_index[i].kind for i in range(4)] == ["estimated"] * 2 + [kind] * 2
     assert errors.correlation[2, 3] == pytest.approx(-1.0, abs=1e-3)
@@ -134,7 +134,7 @@ def test_two_gains_that_the_logs_know_as_a_product_hang_together(prior, kind, sh
 def test_what_is_known_beside_the_logs_pulls_a_split_to_its_centre():
     """The logs know the product of two gains alone; how it splits the prior says."""
     asked = problem(more=(TWIN, 1.5, 0.05, 20.0, 0.1, 1.25))
-    state, converged = settle(asked, initial(asked), 1e-6)
+    state, converged = settle(asked, initial(asked))
     assert converged and math.exp(state.theta[3]) == pytest.approx(1.25, rel=1e-4)
     assert math.exp(state.theta[2]) == pytest.approx(TRUTH[2] / 1.25, rel=0.02)
 
@@ -162,7 +162,7 @@ def test_a_lag_that_no_log_tells_is_dropped_and_alone_refused():
 
 def test_a_descent_ends_where_it_may_not_go_on(monkeypatch):
     asked = problem((1.02, 1.0, 1.0))
-    state, _ = settle(asked, initial(asked), 1e-6)
+    state, _ = settle(asked, initial(asked))
     fixed, price = constrained(asked, state, 0, float(state.theta[0]) + 1e-3)
     there = joint(state, {0: float(state.theta[0]) + 1e-3})
     assert fixed.theta[1:] == pytest.approx(there.x[:2], abs=1e-4) and fixed.free == (0, 1, 2)
@@ -231,7 +231,7 @@ def test_a_coarse_solution_is_judged_by_what_it_leaves_above_a_floor(noise):
 def test_a_rise_is_that_of_the_least_squares_of_all_others():
     """Of a gain half an interval off; its effect is on the stroke that it scales."""
     asked = problem()
-    state, _ = settle(asked, nearest_basin(asked, initial(asked)), 1e-6)
+    state, _ = settle(asked, nearest_basin(asked, initial(asked)))
     state = evaluate(asked, state)
     at = state.theta[2] + np.array([-2e-3, 3e-3])
     rises, effect = estimating._rises(asked, state, 2, at)
@@ -250,7 +250,7 @@ def test_sensors_of_each_log_have_the_errors_of_the_joint_problem():
     for log in asked.logs:
         log.start.terms = (term,)  # pyright: ignore[reportAttributeAccessIssue]
         log.start.uncertain[0].name = term.name
-    state, _ = settle(asked, initial(asked), 1e-6)
+    state, _ = settle(asked, initial(asked))
     truth = joint(state)
     std = np.sqrt(np.diag(np.linalg.inv(truth.jac.T @ truth.jac)))[3:]
     found = _sensors(asked, errors_of(asked, evaluate(asked, state)))
@@ -285,7 +285,7 @@ def test_a_number_at_its_bound_but_for_rounding_stands_there(off, stands):
 
 
 def test_a_denied_number_is_told_with_its_interval():
-    moved = (Stub(name="bulk_modulus", there=9e8, here=8e8, halves=2.5),)
+    moved = tuple(Stub(name="bulk_modulus", there=9e8, here=8e8, halves=n) for n in (2.5, 0.5))
     fit: Any = Stub(simulator=Stub(rig=shipped("slide_servo")))
     row: Any = Stub(parameters=("carriage.mass",), name="load of press", certainty=3)
     for name, key, value, half in (
@@ -376,6 +376,21 @@ def test_a_journal_goes_on_where_a_search_last_knew_how_far_it_was(tmp_path):
     for wrong in ("steps", {"costs": 1}, ["costs"]):
         write_json(path, about | {"steps": wrong})
         assert journal._steps(path, about) == []
+
+
+def test_a_journal_knows_how_many_steps_of_its_search_follow():
+    """Steps are known by what they start from; another one begins anew."""
+    first = journal.Journal()
+    for k, search in enumerate("aaba"):
+        first.search = search
+        assert first.begin("step", k, b"x") == {}
+        first.keep({}, came_to=k)
+    again = journal.Journal(known=[*first.steps])
+    again.search = "a"
+    found = [again.begin("step", k, b"x") for k in (0, 1, 2)]
+    assert [(item["left"], item["came_to"]) for item in found] == [(2, 0), (1, 1), (1, 2)]
+    assert again.begin("step", 3, b"y") == {} and again.steps[:3] == first.steps[:3]
+    assert again.known == first.steps[:3]
 
 
 def fit_of(rng, sizes, length, shared=None):

@@ -381,7 +381,7 @@ def effort():
         asked = analytic_fit.problem(factors)
         state = basins.nearest_basin(asked, problem.initial(asked))
         counts.append(asked.simulator.effort.evaluations)
-        descent.settle(asked, state, 1e-6)
+        descent.settle(asked, state)
         counts.append(asked.simulator.effort.evaluations)
     return counts
 

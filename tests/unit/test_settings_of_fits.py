@@ -62,7 +62,7 @@ def rounds_of(change):
     with answers(descent, evaluate=lambda _, item: item,
                  weighed=lambda _, item: Stub(scales={"x": item.scales["x"] * math.exp(change)}),
                  solve=lambda _, item, __: (count.append(1) or item, True)):  # fmt: skip
-        descent.settle(ANY, state, 0.0)
+        descent.settle(ANY, state)
     return len(count)
 
 
@@ -325,7 +325,7 @@ def at_bound(share):
     place, theta = asked.search[0], problem.initial(asked).theta.copy()
     theta[0] = place.bounds[1] - share * place.reach
     with answers(estimates, nearest_basin=lambda _, state: replace(state, theta=theta),
-                 settle=lambda _, state, __: (state, True), doubts_of=None,
+                 settle=lambda _, state: (state, True), doubts_of=None,
                  _over_ranges=lambda _, state, __: state,
                  errors_of=lambda _, state: Stub(
                      by_index={i: unsure for i in state.free if i == 0})):  # fmt: skip

@@ -872,11 +872,11 @@ def test_the_six_that_leave_least_are_refined(monkeypatch):
 def test_a_finding_explains_its_share_of_what_exceeds_the_noise(noise, gain, share):
     search = search_of(10.0 * U, noise)
     del search._finding
-    search.cases = [Stub(model=Stub(rig=None))]
-    words = {name: lambda rig, delta: f"{delta}" for name in ("sentence", "remedy")}
+    search.cases = [Stub(model=Stub(rig=rig)) for rig in ("a", "b")]
+    words = {name: lambda rig, delta: f"{rig} {delta}" for name in ("sentence", "remedy")}
     found = search._finding(
         Stub(kind="gain", about="a", beyond=lambda delta: 2.0 * delta, **words), 0.3, gain
     )
     assert (found.explains, found.size, found.beyond) == (share, 0.3, 0.6)
-    assert (found.sentence, found.remedy) == ("0.3", "0.3")
+    assert (found.sentence, found.remedy) == ("a 0.3", "a 0.3")
     assert diagnosis.Structure((found,)).causes == ((found,) if share > 0.5 else ())

@@ -291,7 +291,7 @@ class Hypothesis:
             lines.append(f'[upper] "{name}" = "{rig.shown(name, value, 5)}"')
         for sensor in self.sensors:
             word = next((w for c, w, _ in self.readings if c == sensor.channel), "")
-            given = f'{word} = "{ESTIMATE}"' if sensor.sign > 0 else "sign = -1"
+            given = f'{word} = "{ESTIMATE}"' if sensor.sign == 1 else "sign = -1"
             lines.append(f'[[sensor]] channel = "{sensor.channel}", {given}')
         return tuple(lines)
 
