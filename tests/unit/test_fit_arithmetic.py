@@ -1,7 +1,7 @@
 """Notes, steps and errors of a fit on small arrays, against closed forms and independent sums."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace as Stub
 from typing import Any
 
@@ -171,6 +171,40 @@ def test_logs_that_are_compared_as_means_are_listed_by_how_many():
     assert every.fields["logs"] == "all logs"
     (alone,) = results._compared([tens])
     assert alone.fields["logs"] == "of 10" and "100 Hz" in alone and "1 kHz" in alone
+
+
+@dataclass(frozen=True)
+class Begins:
+    """Where a log starts."""
+
+    record: Record | None = None
+    terms: tuple = ()
+    uncertain: tuple = ()
+
+
+@pytest.mark.parametrize(("seconds", "count"), [(1.0, 2100), (2.5, 2750), (2.6, 4000)])
+def test_the_head_of_a_log_has_two_steps_out_and_back(seconds, count):
+    """Four changes of the command, here to 2 s, and a tenth more; whole, if that is most of it."""
+    command = np.searchsorted([500, 1000, 1500, 2000, 2500], np.arange(4000), side="right") % 2
+    log = replace(log_of(v=np.arange(4000.0), command=1.0 * command), start=Begins())
+    assert len(log.head(seconds).recorded) == count
+    assert (log.head(seconds) is log) == (count == 4000)
+    tens = replace(log, means=BlockAverages.of(log.record, 10))
+    tens = replace(tens, recorded=log.recorded[::10], counts=log.counts[::10])
+    short = tens.head(seconds)
+    assert (len(short.recorded), short.record.t.size, short.seen.t.size) == (
+        count // 10, count, count // 10)  # fmt: skip
+
+
+def test_what_is_freed_has_no_prior():
+    prior = Stub(sharpness=np.array([2.0]), off=np.array([0.5]), weight=0.7)
+    given: list = []
+    with answers(sensitivity, prior_of=prior, _with=None,
+                 release_of=lambda _, known, minimum: given.append((known, minimum))):  # fmt: skip
+        sensitivity._release(Stub(), Stub(state=Stub(live=(0,))), Stub(), 3.0)  # pyright: ignore[reportArgumentType]
+    ((known, minimum),) = given
+    assert (known.sharpness.tolist(), known.off.tolist()) == ([2.0, 0.0], [0.5, 0.0])
+    assert (known.weight, minimum) == (0.7, 3.0)
 
 
 def test_means_leave_out_what_is_white_in_them(rng):

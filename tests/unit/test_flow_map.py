@@ -441,6 +441,9 @@ def test_readings_have_levels_and_drops_that_differ():
     readings = sort_readings("v", readings_table(command, drop, flow), FlowMapOptions(), 0.0)
     assert np.unique(readings.level).size == 4 and readings.places_read.size == 4
     assert np.unique(readings.cell).size == 16
+    assert readings.delta == pytest.approx(8e3)  # 1e-3 of the largest drop
+    with pytest.raises(ValueError, match="negative"):
+        sort_readings("v", readings_table(command - 0.025, drop, flow), FlowMapOptions(), 0.0)
     first = readings_module.first_noise(readings)
     assert first == readings_module.Noise({"flowmeter": (3e-3, 1e-2)}, 0)
     assert readings.roots == pytest.approx([0.0, *readings.places_read])
@@ -576,6 +579,9 @@ def test_trials_scatter_as_dersimonian_and_laird_have_it():
     precision = float(np.sum(flow[:each] ** 2)) / 0.01
     between = np.var(factors, ddof=1) - 1.0 / precision
     assert results._trial_scatter(result) == pytest.approx(math.sqrt(between / 4.0))
+    result.keep[5], result.residuals[5] = False, 99.0  # what is left out counts nowhere
+    assert results._trial_scatter(result) == pytest.approx(math.sqrt(between / 4.0), rel=0.01)
+    result.keep[5], result.residuals[5] = True, factors[0] * flow[5]
     result.keep = trial < 3
     between = np.var(factors[:3], ddof=1) - 1.0 / precision
     assert results._trial_scatter(result) == pytest.approx(math.sqrt(between / 3.0))
