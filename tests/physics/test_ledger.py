@@ -738,7 +738,7 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
     for i, ledger in enumerate((one, log, still, *[one] * twice)):
         sankey(tmp_path / f"sankey_{i}.svg", json.loads(json.dumps(ledger)))
     item = model.rig.cylinder[-1].name
-    limits = [[bounds(model.rig, made, item).as_json()], [], []]
+    limits = [[asdict(bounds(model.rig, made, item))], [], []]
     named = [("on the model", one), ("from its log", log), ("at rest", still)]
     for i in range(1 + twice):
         bars(tmp_path / f"bars_{i}.svg", named, limits)
