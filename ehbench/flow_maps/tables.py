@@ -18,8 +18,10 @@ from ehbench.vocabulary import VOCABULARY, Z95, InputError, Message, from_si, me
 class TableSettings:
     """Numbers by which a table of readings is checked."""
 
-    of_gain: float = setting(3.0, "", "flow in that of the gain", "bar for psi: 3.8 in the flow")
-    large_flow: float = setting(20.0, "", "flow in the supply's", "units differ by 60")
+    of_gain: float = setting(
+        3.0, "", "flow over what the gain gives", "bar for psi: 3.8 in the flow"
+    )
+    large_flow: float = setting(20.0, "", "flow over the supply's limit", "units differ by 60")
     overshoot: float = setting(0.01, "", "commands beyond a driver's range, of it", "converters")
     warm_readings: int = setting(8, "", "smallest number with a temperature", "a slope")
     warming: float = setting(3.0, "K", "smallest change of temperature", "2 % of viscosity")
@@ -108,7 +110,7 @@ def prepare_readings(
 
 
 def gain_ratio(edge: Edge, rows: FlowmeterData) -> float:
-    """The flow that readings have, in that of the edge's gain in the rig file; 1 without one."""
+    """Flow of the readings over what the edge's gain in the rig file gives; 1 without a gain."""
     widths = np.maximum(rows.command - float(edge.deadband), 0.0)
     gain = edge.compensated_gain
     if edge.flow_gain is not None:
