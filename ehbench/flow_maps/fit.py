@@ -46,7 +46,7 @@ from ehbench.flow_maps.shape import (
     start_deadband,
     window_of,
 )
-from ehbench.vocabulary import Z95, InsufficientData, message, setting
+from ehbench.vocabulary import MAD, Z95, InsufficientData, message, setting
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,9 @@ class FitSettings:
     lag: float = setting(4.0, "", "standard errors of a hysteresis or shift", "chance")
     lag_share: float = setting(5e-4, "", "the same, of the largest command", "drivers")
     leak_gain: float = setting(10.83, "", "−2 log likelihood between two leaks", "χ² at 99.9 %")
+    leak_over: float = setting(1.25, "", "flow of an open valve, of its leak", "scatter")
+    passing: float = setting(5e-3, "", "flow that an open valve passes, of the rated", "meters")
+    settled: float = setting(0.1, "", "change of either that counts, standard errors", "no matter")
     shift: float = setting(
         0.05, "", "first step to a shift, of the largest command", "ends at 1/10"
     )
@@ -167,8 +170,8 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
         before, (shift, shift_std) = shift, _shift_of(result) if may_shift else (0.0, 0.0)
         may_shift &= shift != 0.0 or not before  # one that did not last is sought no more
         result = replace(result, shift_std=shift_std)
-        moved = abs(shift - before) > 0.1 * shift_std
-        if not moved and (not sure or abs(more) < 0.1 * std):
+        moved = abs(shift - before) > SETTINGS.settled * shift_std
+        if not moved and (not sure or abs(more) < SETTINGS.settled * std):
             break
         removed += more * sure
     if np.any(readings.sweep):
@@ -247,7 +250,7 @@ def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.nd
     """(readings without the leak, shape, scaled flow of each reading, readings to keep) by a robust
     fit."""
     levels, noise = r.levels, first_noise(r)
-    passes = medians(medians(r.y, r.cell), r.cell_level) > 5e-3
+    passes = medians(medians(r.y, r.cell), r.cell_level) > SETTINGS.passing
     k = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0
     k = min(leak.level if leak else k, levels.size - 3)
     if leak:  # what passes no more than the leak is shut; the leak is reported apart from the map
@@ -265,7 +268,7 @@ def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.nd
     spline = shape.spline()
     flow = spline.design(r.u, r.s) @ regression(spline, cells).solve(shape.smoothing)[0]
     size = np.abs(cells.heard - flow) / noise.std(r, flow)
-    far = size > 1.5 * READING.outlier * max(1.4826 * float(np.median(size[flow > 0])), 0.1)
+    far = size > 1.5 * READING.outlier * max(MAD * float(np.median(size[flow > 0])), 0.1)
     return r, shape, flow, ~few(far & unbacked(r, noise, cells.heard, flow), size)
 
 
@@ -275,10 +278,11 @@ def _find_leak(r: Readings) -> Leak | None:
     if still.sum() < 4:
         return None
     middle = float(np.median(r.y[still]))
-    error = 1.4826 * float(np.median(np.abs(r.y[still] - middle))) / np.sqrt(still.sum())
-    if middle <= max(1e-3, 4.0 * error):
+    error = MAD * float(np.median(np.abs(r.y[still] - middle))) / np.sqrt(still.sum())
+    if middle <= max(SHAPE.shut, SHAPE.shut_sure * error):
         return None
-    passes = medians(medians(r.y, r.cell), r.cell_level) > max(5e-3, 1.25 * middle)
+    open_flow = max(SETTINGS.passing, SETTINGS.leak_over * middle)
+    passes = medians(medians(r.y, r.cell), r.cell_level) > open_flow
     level = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 1
     some = (r.step < level) & ~r.silent
     from scipy.optimize import nnls
@@ -288,8 +292,8 @@ def _find_leak(r: Readings) -> Leak | None:
     parts = nnls(design, y)[0]
     for _ in range(3):
         residual = y - design @ parts
-        scale = 1.4826 * max(float(np.median(np.abs(residual))), 1e-9)
-        near = np.abs(residual) <= 5.0 * scale
+        scale = MAD * max(float(np.median(np.abs(residual))), 1e-9)
+        near = np.abs(residual) <= READING.outlier * scale
         parts = nnls(design[near], y[near])[0]
     used = design[near][:, parts > 0]
     scatter = float(np.sum(residual[near] ** 2)) / max(int(near.sum()) - 2, 1)

@@ -32,6 +32,8 @@ class ShapeSettings:
     repeats: int = setting(12, "", "degrees of freedom that measure the noise", "to some 20 %")
     level_95: float = setting(3.841, "", "rise of −2 log likelihood at 95 %", "χ², one number")
     level_999: float = setting(10.83, "", "rise of −2 log likelihood at 99.9 %", "χ², one number")
+    shut: float = setting(1e-3, "", "flow that may be none, of the rated", "meters")
+    shut_sure: float = setting(4.0, "", "standard deviations of a flow that is none", "chance")
     width: float = setting(5e-4, "", "half interval of a deadband, of the range", "drivers")
 
 
@@ -321,7 +323,8 @@ def window_of(readings: Readings, cells: Cells, lack: float) -> Window:
     used = cells.weight > 0
     quiet = np.max(cells.weight[used] / np.maximum(cells.count[used], 1), initial=0.0)
     count = np.bincount(of, np.where(used, cells.count, 0.0))
-    shut = np.flatnonzero((mean * np.sqrt(count * quiet / lack) <= 4.0) | (mean <= 1e-3))
+    sure = mean * np.sqrt(count * quiet / lack) > SETTINGS.shut_sure
+    shut = np.flatnonzero(~sure | (mean <= SETTINGS.shut))
     k = int(shut[-1]) + 1 if shut.size else 0
     if levels.size - k < 3:
         counts = {"open": levels.size - k, "all": levels.size}

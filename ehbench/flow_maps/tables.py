@@ -9,6 +9,7 @@ import numpy as np
 
 from ehbench.config.rig import Edge, Rig, Valve
 from ehbench.data.flowmeter import FlowmeterData, LeftOut, merge_flowmeter
+from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import FlowMapOptions, Units
 from ehbench.flow_maps.results import FlowMapFit, fit_flow_map
 from ehbench.vocabulary import VOCABULARY, Z95, InputError, Message, from_si, message, setting
@@ -258,7 +259,11 @@ def _warming(rows: FlowmeterData, show: Units, unit: str) -> Iterator[Message]:
 
 def _warm_flow(fit: FlowMapFit, rows: FlowmeterData) -> Iterator[Message]:
     """A message where a map's residuals go with the temperature: the map is of the mean one."""
-    used = np.isfinite(rows.temperature) & np.isfinite(fit.residuals) & (np.abs(fit.sigmas) < 5.0)
+    used = (
+        np.isfinite(rows.temperature)
+        & np.isfinite(fit.residuals)
+        & (np.abs(fit.sigmas) < READING.outlier)
+    )
     used &= rows.flow > SETTINGS.warm_flow * fit.map.rated_flow
     count = int(used.sum())
     if count < SETTINGS.warm_readings or np.ptp(rows.temperature[used]) < SETTINGS.warming:

@@ -24,7 +24,7 @@ from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.plant.foreign import model_of
 from ehbench.plant.model import Start
 from ehbench.preprocessing.observations import column
-from ehbench.vocabulary import EhbenchError, InputError, InsufficientData, Progress, message
+from ehbench.vocabulary import MAD, EhbenchError, InputError, InsufficientData, Progress, message
 
 # when a waveform drives out and back [s]
 WAVES = {
@@ -196,7 +196,7 @@ class _Planner:
         for log in prepared.logs:
             for name, y in log.record.channels.items():
                 if not name.endswith("command"):
-                    spread = 1.4826 * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0)
+                    spread = MAD * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0)
                     noise.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
         self.noise = {word: float(np.median(sizes)) for word, sizes in noise.items()}
 

@@ -14,9 +14,7 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.validation.results import Overlap
-from ehbench.vocabulary import setting
-
-MAD = 1.4826  # standard deviation of normal noise over the median of its size
+from ehbench.vocabulary import MAD, setting
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,6 @@ from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
 from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.terms import MAD, Z95
 from ehbench.vocabulary.text import grouped, listed, shortened
 from ehbench.vocabulary.units import from_si, to_si

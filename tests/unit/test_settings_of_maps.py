@@ -21,9 +21,10 @@ ANY: Any = Stub()
 REFUSED = "flow_maps.no_map_fits"
 
 
-def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0):
+def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0, later=None):
     """(refusal, turns, hysteresis taken off [V], deadband's interval [V]) of fits with these
-    numbers; with a leak that is ``apart`` likelier to end than to go on."""
+    numbers; with a leak that is ``apart`` likelier to end than to go on, and a hysteresis that is
+    ``later`` from the second turn on."""
     turns, inf = [], math.inf
     readings: Any = Stub(who="map", commands=np.array([0.0, 10.0]), sweep=np.ones(4), s=0.0, y=0.0)
     readings.shifted = lambda _: readings
@@ -43,7 +44,9 @@ def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0):
 
     leak = None if not apart else fit.Leak(0.0, 0.0, 0.0, 1)
     with answers(fit, sort_readings=lambda *_: readings, _find_leak=lambda _: leak,
-                 _iterate=iterate, _hysteresis_of=lambda _: lag, _shift_of=lambda _: (0.0, 0.0),
+                 _iterate=iterate,
+                 _hysteresis_of=lambda _: later if later and turns[1:] else lag,
+                 _shift_of=lambda _: (0.0, 0.0),
                  replace=lambda x, **new: x if x is readings else replace(x, **new)):  # fmt: skip
         try:
             result = fit.fit_readings("map", ANY, ANY)
@@ -51,6 +54,28 @@ def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0):
             return error.key, len(turns), 0.0, ()
     assert result.hysteresis
     return "", len(turns), result.hysteresis.removed, result.deadband.interval
+
+
+def leak_of(leak, more, error=0.0):
+    """How many commands pass a leak of so much of the rated flow, of two of which the second passes
+    ``more``; 0 where no leak is found."""
+    y = np.repeat([leak, more, 1.0], 5) + np.tile(math.sqrt(5) * error * np.arange(-2.0, 3.0), 3)
+    step = np.repeat(np.arange(3), 5)
+    readings: Any = Stub(level=step, command=1.0 * step, step=step, silent=np.zeros(15, bool))
+    readings.y, readings.s, readings.cell = y, np.ones(15), step
+    readings.cell_level = np.arange(3)
+    result = fit._find_leak(readings)
+    return result.level if result else 0
+
+
+def opens_at(flow, sure=99.0):
+    """The level from which a valve opens whose second command passes so much of the rated flow,
+    so many standard deviations above none."""
+    cells: Any = Stub(y=np.array([0.0, flow, 1.0, 1.0, 1.0]), count=np.ones(5))
+    cells.weight = np.full(5, (sure / flow) ** 2)
+    levels = np.arange(5.0)
+    readings: Any = Stub(levels=levels, cell_level=np.arange(5), step=np.arange(5))
+    return shape.window_of(readings, cells, 1.0).opens
 
 
 def bends(graded, sharp):
@@ -205,6 +230,14 @@ ROWS = [
      [False, True]),
     (fit.SETTINGS, "lag_share", lambda: [fit_of(lag=(v, 1e-6))[2] > 0.0 for v in (4.7e-3, 5.3e-3)],
      [False, True]),
+    (fit.SETTINGS, "settled", lambda: [
+        fit_of(lag=(0.1, 0.01), later=(share * 0.01, 0.01))[1] for share in (0.09, 0.11)], [2, 12]),
+    (fit.SETTINGS, "passing", lambda: [leak_of(2e-3, y) for y in (4.8e-3, 5.2e-3)], [2, 1]),
+    (fit.SETTINGS, "leak_over", lambda: [leak_of(0.01, y) for y in (0.0122, 0.0128)], [2, 1]),
+    (shape.SETTINGS, "shut", lambda: [leak_of(y, 0.1) for y in (0.9e-3, 1.1e-3)]
+     + [opens_at(y) for y in (0.9e-3, 1.1e-3)], [0, 1, 2, 1]),
+    (shape.SETTINGS, "shut_sure", lambda: [opens_at(0.1, n) for n in (3.8, 4.2)]
+     + [leak_of(0.1, 0.5, 0.1 / (1.4826 * n)) for n in (3.8, 4.2)], [2, 1, 0, 1]),
     (fit.SETTINGS, "leak_gain", lambda: [fit_of(apart=g)[3] for g in (10.5, 11.2)],
      [(1.0, 4.0), (1.0, 2.0)]),
     (shape.SETTINGS, "graded_gain", lambda: [bends(g, 0.0) for g in (3.8, 4.2)],
