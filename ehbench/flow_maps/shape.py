@@ -31,6 +31,7 @@ class ShapeSettings:
     kink_gap: float = setting(0.01, "", "gap of a kink, share of the range", "its digits")
     repeats: int = setting(12, "", "degrees of freedom that measure the noise", "to some 20 %")
     level_95: float = setting(3.841, "", "rise of −2 log likelihood at 95 %", "χ², one number")
+    level_99: float = setting(6.635, "", "rise of −2 log likelihood at 99 %", "χ², one number")
     level_999: float = setting(10.83, "", "rise of −2 log likelihood at 99.9 %", "χ², one number")
     shut: float = setting(1e-3, "", "flow that may be none, of the rated", "meters")
     shut_sure: float = setting(4.0, "", "standard deviations of a flow that is none", "chance")
@@ -361,7 +362,7 @@ def find_deadband(
     if window.high <= window.low:
         return Deadband(), shape
     narrowest = SETTINGS.width * float(readings.levels[-1])
-    grid, rise = _profile(readings, shape, cells, window, soft=False)
+    grid, rise = profile_deadband(readings, shape, cells, window)
     best = int(np.argmin(rise))
     value = float(grid[best])
     if 0 < best < grid.size - 1:  # of the parabola through the lowest and its neighbours
@@ -387,35 +388,25 @@ def find_deadband(
 def soften(
     readings: Readings, shape: Shape, cells: Cells, result: Deadband, window: Window
 ) -> Deadband:
-    """Lowers the deadband's interval to where a flow with a soft start would begin, at 99.9 %.
+    """Lowers the deadband's interval to where a flow with a soft start would begin, at 99 %.
 
-    The spline may curve at will over the first commands that pass flow. The end is sought between
-    the grid's points, whose distance depends on the last bits of the readings."""
-    from scipy.optimize import brentq, minimize_scalar
+    The spline may curve at will over the first commands that pass flow."""
+    from scipy.optimize import brentq
 
     if window.high <= window.low:
         return result
-    grid, rise = _profile(readings, shape, cells, window, soft=True)
-    best = int(np.argmin(rise))
 
-    def rises(u: float) -> float:
-        """−2 log likelihood of a deadband above that of the grid's best."""
-        fit = regression(shape.spline(float(u), soft=True), cells)
-        return fit.solve(shape.smoothing, near)[1] - level
+    def begins(u: float) -> Solved:
+        return regression(shape.spline(u, soft=True), cells).solve(shape.smoothing)
 
-    _, level, near = regression(shape.spline(float(grid[best]), soft=True), cells).solve(
-        shape.smoothing
-    )
-    # the least lies between the grid's points, too
-    around = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)]))
-    lowest = minimize_scalar(
-        rises, bounds=around, method="bounded", options={"xatol": 1e-2 * (around[1] - around[0])}
-    )
-    edge = min(float(lowest.fun), 0.0) + SETTINGS.level_999
-    beyond, soft = np.flatnonzero(rise[:best] > edge), float(grid[0])
+    # of the kink found: so near the next command that a span goes, likelihoods are of other splines
+    edge = begins(result.value)[1] + SETTINGS.level_99
+    grid = np.linspace(window.low, result.value, 15)
+    rise = np.array([begins(u)[1] for u in grid.tolist()]) - edge
+    beyond, soft = np.flatnonzero(rise > 0.0), float(grid[0])
     if beyond.size:
-        ends = float(grid[beyond[-1]]), float(grid[beyond[-1] + 1])
-        soft = cast(float, brentq(lambda u: rises(u) - edge, *ends, xtol=1e-5))
+        ends = grid[beyond[-1] : beyond[-1] + 2].tolist()
+        soft = cast(float, brentq(lambda u: begins(u)[1] - edge, *ends, xtol=1e-5))
     lower, upper = result.interval
     return replace(result, interval=(round(min(lower, soft), 4), upper))
 
@@ -436,15 +427,15 @@ def jumps(readings: Readings, shape: Shape, cells: Cells, window: Window) -> boo
     return bool(cells.weight[shut] @ (flow * (flow - 2.0 * cells.y[shut])) > SETTINGS.kink_gain)
 
 
-def _profile(
-    readings: Readings, shape: Shape, cells: Cells, window: Window, soft: bool
+def profile_deadband(
+    readings: Readings, shape: Shape, cells: Cells, window: Window
 ) -> tuple[np.ndarray, np.ndarray]:
     """(deadbands [V], −2 log likelihood of each above the least), about the likely ones."""
     low, high = window.low, window.high
     grid = rise = np.empty(0)
     for _ in range(5):
         grid = np.linspace(low, high, 15)
-        value = likelihoods(shape, (shape.spline(u, soft) for u in grid.tolist()), cells)
+        value = likelihoods(shape, (shape.spline(u) for u in grid.tolist()), cells)
         rise = value - value.min()
         near = np.flatnonzero(rise < 14.0)
         if near.size > 7 or high - low < 1e-3 * readings.levels[-1]:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ehbench.flow_maps import shape as shapes
+from ehbench.flow_maps import fit as fits
 from ehbench.flow_maps.readings import Cells, FlowMapOptions, Units, readings_table
 from ehbench.flow_maps.results import check_calibration, fit_flow_map
 from ehbench.flow_maps.shape import Shape, gaps_of, likeliest_smoothing
@@ -384,16 +384,16 @@ def test_an_interval_goes_on_to_the_first_flow_where_that_is_sudden(law, sudden)
 
 
 def test_the_lower_end_of_a_soft_deadband_hangs_on_no_grid(monkeypatch):
-    """How many points of the profile lie about its least, and how far apart, is chance."""
+    """Where the points of the search lie is chance."""
     data = readings(soft, 30, commands=np.arange(11.0), trials=2, drops=DROPS[::2])
-    profile, ends = shapes._profile, []
+    soften, ends = fits.soften, []
     for share in (0.0, 0.01, 0.02):
 
-        def shifted(task, shape, cells, window, soft, share=share):
-            less = share * (window.high - window.low) * soft
-            return profile(task, shape, cells, replace(window, low=window.low + less), soft)
+        def shifted(task, shape, cells, result, window, share=share):
+            low = window.low + share * (window.high - window.low)
+            return soften(task, shape, cells, result, replace(window, low=low))
 
-        monkeypatch.setattr(shapes, "_profile", shifted)
+        monkeypatch.setattr(fits, "soften", shifted)
         ends.append(fit(data).deadband_interval[0])
     assert np.ptp(ends) < 2e-4  # ten times as much where it was read off the grid
     assert 1.3 < ends[0] < 1.4

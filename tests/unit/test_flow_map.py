@@ -652,12 +652,12 @@ def test_a_kink_is_placed_by_its_likelihood(monkeypatch, spread):
 def test_a_deadbands_profile_closes_in_on_what_is_likely(monkeypatch):
     """Deadbands within √14 standard errors fill at least eight points of fifteen in the end."""
     monkeypatch.setattr(shapes, "likelihoods", lambda shape, tried, cells: np.array([*tried]))
-    shape = SimpleNamespace(spline=lambda u, soft: ((u - 1.37) / 0.01) ** 2 + 7.0)
+    shape = SimpleNamespace(spline=lambda u: ((u - 1.37) / 0.01) ** 2 + 7.0)
     readings, window = SimpleNamespace(levels=np.array([10.0])), SimpleNamespace(low=0.0, high=3.0)
-    grid, rise = shapes._profile(readings, shape, None, window, False)
+    grid, rise = shapes.profile_deadband(readings, shape, None, window)
     assert grid.size == 15 and rise.min() == 0.0
     far = math.sqrt(14.0) * 0.01
     assert np.count_nonzero(np.abs(grid - 1.37) < far) > 5
     assert grid[0] < 1.37 - 0.02 and grid[-1] > 1.37 + 0.02 and np.ptp(grid) < 0.2
     readings.levels[0] = 1e4
-    assert np.ptp(shapes._profile(readings, shape, None, window, False)[0]) == 3.0
+    assert np.ptp(shapes.profile_deadband(readings, shape, None, window)[0]) == 3.0

@@ -1050,7 +1050,7 @@ def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut)
     window = shape.Window(0.0, 4.0, 1, (0.0, 4.0), not shut)
     readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
     plain = shape.Shape(1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.ones(2))
-    with answers(shape, window_of=window, _profile=(grid, ((grid - at) / 0.5) ** 2)):
+    with answers(shape, window_of=window, profile_deadband=(grid, ((grid - at) / 0.5) ** 2)):
         found, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
     assert found.value == built.deadband == pytest.approx(at, abs=1e-4)
     assert found.at_bound == (at < 0.1) and built.above.tolist() == list(range(1, 11))
@@ -1061,25 +1061,26 @@ def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut)
     spread = np.average((grid - found.value) ** 2, weights=weight) + 0.05**2 / 12.0
     assert found.std == pytest.approx(math.sqrt(spread))
     narrow = shape.Window(2.0, 2.0, 1, (0.0, 4.0), False)
-    with answers(shape, window_of=narrow, _profile=None):
+    with answers(shape, window_of=narrow, profile_deadband=None):
         none, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
     assert none == shape.Deadband() and built.deadband == 0.0
 
 
-@pytest.mark.parametrize(("at", "low"), [(1.53, 1.53 - 0.2 * math.sqrt(10.83)), (0.4, 0.0)])
-def test_a_soft_start_lies_where_the_logs_deny_it_at_999_in_a_thousand(at, low):
-    """Of a parabola of 0.2 V about a place between those looked at; at the lowest of them where it
+@pytest.mark.parametrize(
+    ("at", "low"),
+    [(1.7, 1.7 - 0.2 * math.sqrt(6.635)), (1.6, 1.6 - 0.2 * math.sqrt(6.885)), (0.4, 0)],
+)
+def test_a_soft_start_lies_where_the_logs_deny_it_at_99_in_a_hundred(at, low):
+    """Of a parabola of 0.2 V, above that of the kink found at 1.7 V; at the lowest place where it
     is not denied there, and no higher than the interval was."""
-    grid = np.linspace(0.0, 3.0, 16)
-    rise = ((grid - at) / 0.2) ** 2
 
     def likelihood(spline, _):
-        return Stub(solve=lambda _, near=None: (None, ((spline - at) / 0.2) ** 2 + 7.0, near))
+        return Stub(solve=lambda _: (None, ((spline - at) / 0.2) ** 2 + 7.0, None))
 
     bent: Any = Stub(spline=lambda u, soft: u if soft else math.nan, smoothing=None)
     window = shape.Window(0.0, 3.0, 1, (0.0, 3.0), False)
     given = shape.Deadband(1.7, 0.1, (1.6, 1.8), False)
-    with answers(shape, regression=likelihood, _profile=(grid, rise - rise.min())):
+    with answers(shape, regression=likelihood):
         found = shape.soften(None, bent, None, given, window)  # pyright: ignore[reportArgumentType]
         lower = shape.soften(None, bent, None, replace(given, interval=(-1.0, 1.8)), window)  # pyright: ignore[reportArgumentType]
     assert found == replace(given, interval=(pytest.approx(low, abs=1e-4), 1.8))

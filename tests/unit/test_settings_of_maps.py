@@ -163,8 +163,18 @@ def deadband_of(shut, spread=0.5):
     window = shape.Window(0.0, 4.0, 1, (0.0, 4.0), not shut)
     readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
     with answers(shape, window_of=lambda *_: window,
-                 _profile=lambda *_, **__: (grid, ((grid - 2.0) / spread) ** 2)):  # fmt: skip
+                 profile_deadband=lambda *_: (grid, ((grid - 2.0) / spread) ** 2)):  # fmt: skip
         return shape.find_deadband(readings, PLAIN, ANY, 1.0)[0].interval
+
+
+def softens():
+    """The lower end of a soft start whose likelihood is a parabola of 0.2 V about the kink."""
+    soft: Any = Stub(spline=lambda u, soft: u if soft else math.nan, smoothing=None)
+    window = shape.Window(0.0, 3.0, 1, (0.0, 3.0), False)
+    with answers(shape, regression=lambda u, _: Stub(
+            solve=lambda _: (None, ((u - 1.7) / 0.2) ** 2, None))):  # fmt: skip
+        start = shape.Deadband(1.7, 0.1, (1.7, 1.7), False)
+        return shape.soften(ANY, soft, ANY, start, window).interval[0]
 
 
 def first_span(gap):
@@ -255,6 +265,7 @@ ROWS = [
     (shape.SETTINGS, "repeats", lambda: [knows_noise(n) for n in (11, 12)], [False, True]),
     (shape.SETTINGS, "fall_gain", lambda: [falls(g) for g in (43.0, 47.0)], [math.inf, 8.0]),
     (shape.SETTINGS, "level_95", lambda: deadband_of(True), (1.0204, 2.9796)),
+    (shape.SETTINGS, "level_99", softens, 1.1848),
     (shape.SETTINGS, "level_999", lambda: deadband_of(False), (0.3546, 3.6454)),
     (shape.SETTINGS, "width", lambda: deadband_of(True, 1e-4), (1.995, 2.005)),
     (SPLINE, "room", lambda: [first_span(g) for g in (0.9e-6, 1.1e-6)], [5, 6]),
