@@ -160,7 +160,9 @@ class _Search:
         channels = dict.fromkeys(name for item in self.cases for name in item.channels)
         records = [item.record for item in self.cases]
         rows = hypotheses(case.model.rig, [*cylinders], [*channels], records, case.maps)
-        rows = [item for item in rows if item.kind != "payload"]  # the model carries it: see load
+        rows = [
+            item for item in rows if not item.kind.startswith("payload")
+        ]  # see load: the model carries it
         return [item for item in rows if item.row.step != 0.0 or item.row.trials]
 
     def _at(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:
