@@ -125,11 +125,13 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
             }
             warnings.append(message("identification.gain_fixed", **fields))
     confirmed: list[tuple[Hypothesis, Lean]] = []
-    for item in suspects:
-        # to first order about a wrong fit half of what a number moves is easily missed
-        if 2.0 * item.beyond > BEYOND and effort.evaluations < limit:
-            pair = _confirmed(fit, result, item, effort)
-            confirmed += [] if pair is None else [pair]
+    # to first order about a wrong fit half of what a number moves is easily missed
+    for item in [item for item in suspects if 2.0 * item.beyond > BEYOND]:
+        if effort.evaluations >= limit:
+            unasked = (*unasked, item.row.name)
+            continue
+        pair = _confirmed(fit, result, item, effort)
+        confirmed += [] if pair is None else [pair]
     explained = [item.explains for item in (*suspects, *(i for _, i in confirmed))]
     likely = [
         (row, item)
