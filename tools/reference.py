@@ -185,7 +185,7 @@ def key_of(name: str, field: FieldInfo) -> Key:
     if number is not None:
         row = number.row
         many = any(get_origin(part) is tuple for part in parts(field.annotation))
-        count = f"{number.count} × " if number.count > 1 else ""
+        count = f"{len(number.axes.split())} × " if number.axes else ""
         unit = ("list of " if many else count) + _unit(row)
         return Key(given, row.symbol, unit, _span(row), default, words)
     kind = _kind(field.annotation)

@@ -17,7 +17,7 @@ from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.diagnosis.recordings import Follows, disagreements, followed, misread
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
-from ehbench.vocabulary import EhbenchError, grouped
+from ehbench.vocabulary import EhbenchError, grouped, message
 
 __all__ = [
     "DOMINANT",
@@ -49,7 +49,7 @@ class Finding:
     file, and the share that it ``explains`` of the residuals' squares beyond those of the sensors'
     noise; ``size`` is the fault's δ, such as a share of a gain; ``beyond`` by how many half-widths
     of its interval an identified number would be off; ``jointly`` the share that it and what stands
-    beside it explain, 0 for nothing beside it."""
+    beside it explain, 0 for nothing beside it; ``alike`` what these logs do not tell from it."""
 
     kind: str
     about: str
@@ -59,6 +59,14 @@ class Finding:
     size: float
     beyond: float = 0.0
     jointly: float = 0.0
+    alike: tuple[str, ...] = ()
+
+    @property
+    def cause(self) -> str:
+        """Its sentence, with what is as likely."""
+        if not self.alike:
+            return self.sentence
+        return message("faults.alike", sentence=self.sentence, others=", ".join(self.alike))
 
 
 @dataclass(frozen=True)
@@ -145,6 +153,8 @@ class _Search:
 
         shown = sorted((f for f, gain in gains.items() if gain >= NEAR * best), key=place)
         results = [self._finding(fault, reached[fault][0], gains[fault]) for fault in shown]
+        alike = tuple(fault.name for fault in shown[1:MOST] if not place(fault)[0])
+        results[0] = replace(results[0], alike=alike)
         additional = self._additional(shown, reached[shown[0]][2], slopes)
         if additional:
             pair = (results[0], *additional)
@@ -160,7 +170,9 @@ class _Search:
         channels = dict.fromkeys(name for item in self.cases for name in item.channels)
         records = [item.record for item in self.cases]
         rows = hypotheses(case.model.rig, [*cylinders], [*channels], records, case.maps)
-        rows = [item for item in rows if item.kind != "payload"]  # the model carries it: see load
+        rows = [
+            item for item in rows if not item.kind.startswith("payload")
+        ]  # see load: the model carries it
         return [item for item in rows if item.row.step != 0.0 or item.row.trials]
 
     def _at(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:

@@ -61,7 +61,7 @@ def bodies_of(rig: Rig) -> Iterator[Body]:
         c, s = math.cos(float(joint.dh_theta)), math.sin(float(joint.dh_theta))
         rotation = twist @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         twist, end = _about_x(float(joint.dh_alpha)), np.array([joint.dh_a, 0.0, joint.dh_d], float)
-        xx, yy, zz, xy, xz, yz = joint.inertia.value  # type: ignore[misc]
+        xx, yy, zz, xy, xz, yz = joint.inertia.value
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         yield Body(
             names[i],

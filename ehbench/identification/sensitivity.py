@@ -71,7 +71,7 @@ class SensitivitySettings:
         0.2, "", "share of the fit's simulations that this may take", "what people would wait for"
     )
     quick: float = setting(
-        250.0, "", "simulations that a fit of fewer counts as", "it takes part of a second"
+        300.0, "", "simulations that a fit of fewer counts as", "it takes part of a second"
     )
     first: float = setting(
         0.6, "", "share of these that ask each row of one log", "the rest asks the best of all"
@@ -125,11 +125,13 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
             }
             warnings.append(message("identification.gain_fixed", **fields))
     confirmed: list[tuple[Hypothesis, Lean]] = []
-    for item in suspects:
-        # to first order about a wrong fit half of what a number moves is easily missed
-        if 2.0 * item.beyond > BEYOND and effort.evaluations < limit:
-            pair = _confirmed(fit, result, item, effort)
-            confirmed += [] if pair is None else [pair]
+    # to first order about a wrong fit half of what a number moves is easily missed
+    for item in [item for item in suspects if 2.0 * item.beyond > BEYOND]:
+        if effort.evaluations >= limit:
+            unasked = (*unasked, item.row.name)
+            continue
+        pair = _confirmed(fit, result, item, effort)
+        confirmed += [] if pair is None else [pair]
     explained = [item.explains for item in (*suspects, *(i for _, i in confirmed))]
     likely = [
         (row, item)

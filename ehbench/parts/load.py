@@ -1,6 +1,7 @@
 """Forces from outside on a rod: constant, by direction, spring, cylinder, or played from a log."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from ehbench.parts.fault import Amount, Fault
@@ -90,11 +91,25 @@ def force_fields(item: Any) -> dict[str, float]:
     return dict(zip(("extending", "retracting"), both, strict=True))
 
 
+# a centre of mass may be off to either side, by as much as a cylinder is long
+_CENTRE = Fault(
+    "centre of mass",
+    (),
+    "stroke",
+    0.01,
+    -1.0,
+    1.0,
+    rank=4,
+    upper=Amount((1.0,), "stroke"),
+    wide=True,
+)
 # of what a cylinder moves, and of forces on its rod
 FAULTS = (
     Fault("damping", ("joint_damping",), step=0.1, wide=True, start=Amount((1.0,), "unit")),
     Fault("damping", ("damping",), step=0.1, wide=True, start=Amount((1.0,), "unit")),
     Fault("load", ("mass",), step=0.05, trials=(-0.3, -0.15, 0.15, 0.4), rank=4, wide=True),
+    *(replace(_CENTRE, keys=(f"com_{axis}",)) for axis in "xyz"),
+    *(Fault("inertia", (f"inertia_{about}",), rank=4, wide=True) for about in ("yy", "zz")),
     Fault("force", ("force",), step=0.05, rank=5),
     Fault("force", ("force_extending", "force_retracting"), step=0.05, rank=5),
     Fault("spring", ("stiffness",), step=0.05, rank=5),
@@ -130,4 +145,7 @@ SPRING = Fault(
     },
     moved=("force.stiffness",),
 )
-PAYLOAD = (Fault("payload", ("mass",), step=0.05, rank=4, wide=True),)
+PAYLOAD = (
+    Fault("payload", ("mass",), step=0.05, rank=4, wide=True),
+    *(replace(_CENTRE, kind="payload centre of mass", keys=(f"com_{axis}",)) for axis in "xyz"),
+)

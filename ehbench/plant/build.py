@@ -169,12 +169,12 @@ def _mechanism(rig: Rig, shared: Kept) -> tuple[int, np.recarray, tuple[float, f
 
 
 def _link(joint: Joint) -> dict[str, Any]:
-    com: Any = joint.com.value
-    moments: Any = joint.inertia.value
-    xx, yy, zz, xy, xz, yz = moments
+    xx, yy, zz, xy, xz, yz = joint.inertia.value
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     frame = float(joint.dh_a), float(joint.dh_d), float(joint.dh_alpha), float(joint.dh_theta)
-    return arm.pack_link(*frame, float(joint.mass), com, inertia, float(joint.joint_damping))
+    return arm.pack_link(
+        *frame, float(joint.mass), joint.com.value, inertia, float(joint.joint_damping)
+    )
 
 
 def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.recarray:

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from ehbench.config.rig import Rig, Slide
 from ehbench.data.record import Record
 from ehbench.report.saved import Saved, Table
@@ -135,7 +133,5 @@ def payload_at_end(rig: Rig, payload: str) -> float | None:
     if isinstance(last, Slide):
         return loaded - mass
     length = float(last.dh_a)
-    before, after = (
-        float(np.atleast_1d(com.value)[0]) for com in (last.com, change.com or last.com)
-    )
+    before, after = (com.value[0] for com in (last.com, change.com or last.com))
     return (loaded * (length + after) - mass * (length + before)) / length if length else None

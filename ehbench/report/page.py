@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.config.recipe import Campaign
-from ehbench.config.rig import Rig, Slide
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import (
     Block,
     Bullets,
@@ -47,7 +47,6 @@ from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary import Z95, EhbenchError, InputError, grouped, message, plural
 from ehbench.vocabulary.errors import nearest
-from ehbench.vocabulary.fields import Value
 
 
 def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
@@ -245,27 +244,12 @@ def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
     has its interval; the others have 1.96 of their standard error.
     """
     known: dict[tuple[str, Any], Table] = {(fit["name"], fit.number("value")): fit for fit in fits}
-    # centres of mass, inertias, and what payloads change, besides what the rig counts as parameters
-    bodies = [rig.mechanism] if isinstance(rig.mechanism, Slide) else rig.mechanism.joint
-    vectors: dict[str, Value] = {
-        f"{body.name}.{key}": getattr(body, key)
-        for body in bodies
-        for key in ("com", "inertia")
-        if hasattr(body, key)
-    }
-    for load, links in rig.payload.items():
-        for link, change in links.items():
-            for key in ("mass", "com", "inertia"):
-                if getattr(change, key) is not None:
-                    vectors[f"payload {load}: {link}.{key}"] = getattr(change, key)
-    every = [*rig.parameters().items(), *vectors.items()]
+    every = rig.parameters().items()
     groups = grouped(every, lambda item: item[0].rpartition(".")[0])
     rows: list[list[Cell | str]] = []
     for group, name, value in ((group, *item) for group, items in groups.items() for item in items):
         fit = known.get((name, value.value))
-        if isinstance(value.value, tuple):
-            text: Cell | str = f"({', '.join(number(shown(rig, name, v), 5) for v in value.value)})"
-        elif fit is not None:
+        if fit is not None:
             text = num(as_fitted(rig, name, fit))
         elif value.std:
             text = num(plus(rig, name, value.value, Z95 * value.std))

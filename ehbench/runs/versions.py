@@ -15,11 +15,11 @@ METHODS: Mapping[str, int] = {
     "plant": 2,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 9,
-    "output_error": 8,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 9,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 10,
-    "validation": 9,
+    "diagnosis": 11,
+    "validation": 10,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it
@@ -35,7 +35,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "hydraulics": (3, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (2, (*_SIMULATED, "frequency_response")),
-    "validation": (5, (*_SIMULATED, "diagnosis", "validation")),
+    "validation": (6, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (3, ("plant", "control", "tuning")),
     "trial": (3, _TRIAL),

@@ -38,7 +38,7 @@ from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message
-from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.fields import read_value, read_vector
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -463,4 +463,6 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
         return raw
     if name == "feedback_gain" and isinstance(raw, Mapping):
         return {function: float(read_value(value, row)) for function, value in raw.items()}
-    return read_value(raw, row, 2).value if pair else float(read_value(raw, row))
+    if pair:
+        return read_vector(raw, row, ("lower", "upper")).value
+    return float(read_value(raw, row))

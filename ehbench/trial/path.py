@@ -144,7 +144,7 @@ class Mover:
     def at(self, point: np.ndarray) -> str:
         """Where a point [m] is, in the unit that the recipe's points have."""
         row = quantity("tip")
-        unit = self.motion.points[0].unit or row.unit
+        unit = self.motion.points[0].parts[0].unit or row.unit
         return "(" + ", ".join(f"{from_si(item, unit, row):.4g}" for item in point) + f") {unit}"
 
     def strokes(self, q: np.ndarray) -> np.ndarray:

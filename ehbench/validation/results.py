@@ -237,7 +237,7 @@ class Validation:
         number would leave its interval.
         """
         texts = [
-            message("validation.cause", share=c.explains, cause=c.sentence, remedy=c.remedy)
+            message("validation.cause", share=c.explains, cause=c.cause, remedy=c.remedy)
             for c in structure.causes
         ]
         reject = [cause.beyond > BEYOND for cause in structure.causes]

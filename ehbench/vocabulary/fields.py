@@ -1,15 +1,17 @@
 """Typed fields of files: a number with unit, source, bounds and standard error.
 
     mass: Annotated[Value, Q("mass")]
-    com: Annotated[Value, Q("com", 3)]
+    com: Annotated[Vector, Q("com", "x y z")]
 
 reads ``"12 kg"`` or ``{ value = "12 kg", source = "datasheet", std = "0.1 kg" }`` by the vocabulary
-row of its name, and writes it back as it was read."""
+row of its name, and a vector as a list of such; and writes it back as it was read."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Union
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, TypeVar, Union
 
 from pydantic import (
     BaseModel,
@@ -27,6 +29,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 from ehbench.vocabulary.text import shortened
 
+Model = TypeVar("Model", bound=BaseModel)
 SURENESS = "printed restored companion assumed datasheet measured weighed identified".split()
 
 
@@ -52,13 +55,13 @@ Internal = BeforeValidator(_unknown_in_files)  # a field that the program sets, 
 
 @dataclass(frozen=True)
 class Value:
-    """A number in SI (or a tuple of them) with where it came from.
+    """A number in SI with where it came from.
 
     ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds
     and ``std`` the standard error, all SI; ``text`` what the file said, kept so that a rig can be
     written back as it was read; ``unit`` that in which people see it, empty where any will do."""
 
-    value: float | tuple[float, ...]
+    value: float
     sure: str = "assumed"
     source: str = ""
     lower: float | None = None
@@ -74,15 +77,47 @@ class Value:
         return f"{float(units.from_si(number, unit, row)):.6g} {unit}"
 
     def __float__(self) -> float:
-        return float(self.value)  # type: ignore[arg-type]
+        return float(self.value)
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Numbers of one quantity along ``axes``, each with where it came from."""
+
+    axes: tuple[str, ...]
+    parts: tuple[Value, ...]
+
+    @property
+    def value(self) -> tuple[float, ...]:
+        """The numbers [SI]."""
+        return tuple(float(part) for part in self.parts)
+
+    def with_part(self, axis: str, part: Value) -> Vector:
+        """It with another number along an axis."""
+        pairs = zip(self.axes, self.parts, strict=True)
+        return replace(self, parts=tuple(part if name == axis else old for name, old in pairs))
 
 
 def scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
-    """The single numbers of a table, by their keys."""
+    """The numbers of a table by their keys; those of a vector by key and axis, ``com_x``."""
     for name in type(model).model_fields:
         value = getattr(model, name)
-        if isinstance(value, Value) and not isinstance(value.value, tuple):
+        if isinstance(value, Value):
             yield name, value
+        elif isinstance(value, Vector):
+            yield from zip((f"{name}_{axis}" for axis in value.axes), value.parts, strict=True)
+
+
+def with_scalars(model: Model, new: Mapping[str, Value]) -> Model:
+    """A table with others of its `scalars`; names that it does not have are passed over."""
+    update: dict[str, Any] = {}
+    for key, value in new.items():
+        name, _, axis = key.rpartition("_")
+        if key in type(model).model_fields:
+            update[key] = value
+        elif isinstance(vector := update.get(name, getattr(model, name, None)), Vector):
+            update[name] = vector.with_part(axis, value)
+    return model.model_copy(update=update) if update else model
 
 
 def one_of(models: Sequence[type[BaseModel]], key: str) -> Any:
@@ -92,9 +127,9 @@ def one_of(models: Sequence[type[BaseModel]], key: str) -> Any:
     return Annotated[Union[tuple(models)], Field(discriminator=key)]  # noqa: UP007
 
 
-def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
-    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure,
-    lower, upper, std, unit }``.
+def read_value(raw: Any, row: Quantity) -> Value:
+    """A TOML value as a ``Value``: ``"1000 psi"``, or ``{ value, source, sure, lower, upper, std,
+    unit }``.
 
     Raises:
         UnitError: no unit, wrong unit, implausible value, bounds that do not hold it, a negative
@@ -111,21 +146,11 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     if "value" not in table:
         raise InputError(message("vocabulary.no_value", name=row.name))
 
-    raw_value = table["value"]
-    if count == 1:
-        value: float | tuple[float, ...] = _scalar(raw_value, row, "the value")
-    else:
-        if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
-            given = shortened(raw_value, 60)
-            text = message("vocabulary.takes_list", name=row.name, count=count, given=given)
-            raise InputError(text)
-        value = tuple(_scalar(item, row, "an entry") for item in raw_value)
+    value = _scalar(table["value"], row, "the value")
     limits = _limits(table, row)
-    each = value if isinstance(value, tuple) else (value,)
-    lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
-    if not all(lower <= entry <= upper for entry in each):
+    if not limits.get("lower", -math.inf) <= value <= limits.get("upper", math.inf):
         bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
-        fields = {"name": row.name, "value": raw_value, "bounds": bounds}
+        fields = {"name": row.name, "value": table["value"], "bounds": bounds}
         raise UnitError(message("vocabulary.outside_bounds", **fields))
     source = str(table.get("source", ""))
     first = source.replace(":", " ").replace(",", " ").split(" ")[0]
@@ -137,11 +162,29 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     return Value(value, sure, source, text=raw, unit=_unit(table, row), **limits)
 
 
+def read_vector(raw: Any, row: Quantity, axes: Sequence[str]) -> Vector:
+    """A list of TOML values as a ``Vector``, or a table whose ``value`` is such a list.
+
+    Raises:
+        UnitError, InputError: as `read_value` of each, or another count of them.
+    """
+    if isinstance(raw, Vector):
+        return raw
+    table = dict(raw) if isinstance(raw, Mapping) else {}
+    items = table.get("value", raw)
+    if not isinstance(items, list | tuple) or len(items) != len(axes):
+        given = shortened(items, 60)
+        raise InputError(
+            message("vocabulary.takes_list", name=row.name, count=len(axes), given=given)
+        )
+    each = [{**table, "value": item} if table else item for item in items]
+    return Vector(tuple(axes), tuple(read_value(item, row) for item in each))
+
+
 def _unit(table: Mapping[str, Any], row: Quantity) -> str:
     """The unit in which people see a value: what ``unit`` says, else that of its own text, if it is
     another than SI."""
-    first = table["value"][0] if isinstance(table["value"], (list, tuple)) else table["value"]
-    unit = str(table.get("unit", units.unit_of(first)))
+    unit = str(table.get("unit", units.unit_of(table["value"])))
     if unit:
         units.to_si(0.0, unit, row)
     return "" if unit == row.unit else unit
@@ -192,9 +235,7 @@ def write_value(value: Value, row: Quantity) -> Any:
     def show(number: float) -> str:
         return f"{float(number)!r}{unit}"
 
-    many = isinstance(value.value, tuple)
-    text: Any = [show(v) for v in value.value] if many else show(float(value))  # type: ignore
-    table: dict[str, Any] = {"value": text, "sure": value.sure}
+    table: dict[str, Any] = {"value": show(float(value)), "sure": value.sure}
     if value.source:
         table["source"] = value.source
     for key in ("lower", "upper", "std"):
@@ -206,12 +247,27 @@ def write_value(value: Value, row: Quantity) -> Any:
     return table
 
 
+def write_vector(vector: Vector, row: Quantity) -> Any:
+    """A ``Vector`` for TOML: a list, in one table where all its numbers say the same but for their
+    values.
+    """
+    items = [write_value(part, row) for part in vector.parts]
+    if not all(isinstance(item, dict) for item in items):
+        return items
+    about = [{key: word for key, word in item.items() if key != "value"} for item in items]
+    if about.count(about[0]) < len(about):
+        return items
+    return {**items[0], "value": [item["value"] for item in items]}
+
+
 @dataclass(frozen=True)
 class Q:
-    """A ``Value`` of one quantity, or ``count`` of them; ``word`` may stand in its place."""
+    """A ``Value`` of one quantity, or a ``Vector`` of it along ``axes``; ``word`` may stand in its
+    place.
+    """
 
     name: str
-    count: int = 1
+    axes: str = ""
     word: str = ""
 
     @property
@@ -228,13 +284,17 @@ class Q:
             serialization=core_schema.plain_serializer_function_ser_schema(self._write),
         )
 
-    def _read(self, raw: Any) -> Value | str:
+    def _read(self, raw: Any) -> Value | Vector | str:
         if self.word and raw == self.word:
             return self.word
         try:
-            return read_value(raw, self.row, self.count)
+            if self.axes:
+                return read_vector(raw, self.row, self.axes.split())
+            return read_value(raw, self.row)
         except InputError as error:
             raise ValueError(f'{error}; or "{self.word}"' if self.word else str(error)) from None
 
-    def _write(self, value: Value | str) -> Any:
+    def _write(self, value: Value | Vector | str) -> Any:
+        if isinstance(value, Vector):
+            return write_vector(value, self.row)
         return value if isinstance(value, str) else write_value(value, self.row)

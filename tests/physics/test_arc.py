@@ -85,12 +85,12 @@ def nominal(payload):
     both = mass * com / (mass + payload)
     points = [(mass, com - both), (payload, -both)]
     extra = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in points)
-    inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # pyright: ignore[reportIndexIssue]
-    worn = {"mass": mass + payload, "com": tuple(both), "inertia": tuple(inertia)}
-    heavy = link.model_copy(update={key: Value(value) for key, value in worn.items()})
-    chain = rig.mechanism.model_copy(update={"joint": (*rig.mechanism.joint[:-1], heavy)})
+    inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    worn = {"mass": mass + payload}
+    worn |= {f"com_{axis}": x for axis, x in zip(link.com.axes, both, strict=True)}
+    worn |= {f"inertia_{axis}": x for axis, x in zip(link.inertia.axes, inertia, strict=True)}
     design = Model.of(rig)
-    loaded = Model.of(rig.model_copy(update={"mechanism": chain}))
+    loaded = Model.of(rig.with_values({f"{link.name}.{key}": x for key, x in worn.items()}))
     return design, loaded, axis_of(design, 0, {lift.name: "0.25 m"})
 
 

@@ -322,3 +322,29 @@ def test_maps_and_laws_are_asked_for_by_name(rig):
     broken = rig.model_copy(update={"cylinder": (whole, *rig.cylinder[1:])})
     with pytest.raises(InputError, match=f"edge '{changed.edge_name(mapped)}' of rig '{rig.name}'"):
         Model.of(broken)
+
+
+@pytest.mark.parametrize("numbers", [{}, {"com_x": -1.2}, {"com_y": 0.6}, {"inertia_zz": 192.0}])
+def test_a_crane_is_a_pendulum_of_its_numbers(numbers):
+    """At rest the cylinder's lever carries m g (r_x cos q − r_y sin q), r from the joint; free, the
+    joint turns by the torque over I_zz + m r² (a physical pendulum)."""
+    known = {"com_x": -1.9, "com_y": 0.05, "inertia_zz": 190.0} | numbers
+    model = Model.of(
+        shipped("crane_proportional").with_values({f"arm.{k}": v for k, v in numbers.items()})
+    )
+    mass, g, q = 180.0, 9.80665, 0.3
+    along, across = 3.5 + known["com_x"], known["com_y"]
+    weight = mass * g * (along * math.cos(q) - across * math.sin(q))
+    theta = q + math.radians(80.0)  # l_a = 1.1 m, l_b = 0.7 m
+    lever = (
+        1.1 * 0.7 * math.sin(theta) / math.sqrt(1.1**2 + 0.7**2 - 2.0 * 1.1 * 0.7 * math.cos(theta))
+    )
+    head = 0.25 * math.pi * 0.08**2
+    areas = head, head - 0.25 * math.pi * 0.045**2
+    y = model.trim(model.posture({"lift": q}))
+    p_head, p_rod = (float(y[model.layout.state(f"p_{end}", 0)]) for end in ("head", "rod"))
+    assert (p_head * areas[0] - p_rod * areas[1]) * lever == pytest.approx(weight, rel=1e-6)
+    y[model.layout.state("p_head", 0)] += 1e5
+    turned = rate(model, y, model.rest_commands(1)[0])[model.plant.at.rates]
+    about = known["inertia_zz"] + mass * (along**2 + across**2)
+    assert turned == pytest.approx(1e5 * areas[0] * lever / about, rel=1e-6)

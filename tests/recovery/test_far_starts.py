@@ -20,15 +20,13 @@ from ehbench.identification import simulator
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import InsufficientData
-from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.fields import Q, Value, Vector
 from tests.shared import RIGS
 from tools.studies.recovery_study import BEDS, Trial, bed, logs_of, offered, tried
 from tools.virtual_logs import noisy
 
 # numbers of a rig file that no fit offers, and why
 NEVER = {
-    "com": "three numbers, which only the mass and the whole inertia would tell",
-    "inertia": "six numbers",
     "command_min": "the driver's, beyond which commands are refused",
     "command_max": "as command_min",
     "flow": "of a rated point, which is turned into the gain of its edge",
@@ -56,6 +54,9 @@ def numbers(table: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[tupl
         kinds = [*parts_of(field.annotation), *field.metadata]
         if Value in kinds:
             yield table.__name__, key
+        if Vector in kinds:
+            (row,) = (kind for kind in kinds if isinstance(kind, Q))
+            yield from ((table.__name__, f"{key}_{axis}") for axis in row.axes.split())
         for kind in kinds:
             if isinstance(kind, type) and issubclass(kind, BaseModel):
                 yield from numbers(kind, seen)
@@ -68,6 +69,8 @@ def given(part: Any) -> Iterator[tuple[str, str]]:
             value = getattr(part, key)
             if isinstance(value, Value):
                 yield type(part).__name__, key
+            if isinstance(value, Vector):
+                yield from ((type(part).__name__, f"{key}_{axis}") for axis in value.axes)
             yield from given(value)
     elif isinstance(part, (tuple, dict)):
         for one in part.values() if isinstance(part, dict) else part:

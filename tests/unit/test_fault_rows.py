@@ -126,6 +126,29 @@ def test_a_payload_is_asked_of_that_a_log_carries():
         assert hypotheses(rig, [], [], [log]) == []
 
 
+def test_where_a_body_has_its_centre_is_asked_of_joints_and_what_they_carry():
+    """To either side by as much as its cylinder is long, also where it is at zero; a slide has
+    none. What a payload changes is asked of the logs with it alone."""
+    rig = shipped("crane_proportional")
+    for load, owners in ((None, ("arm",)), ("200 kg", ("arm", "200 kg.arm"))):
+        meta = {} if load is None else {"payload": load}
+        log = Record(T, {"lift.spool.command": LEVELS}, meta)
+        rows = {
+            row.about: row for row in hypotheses(rig, ["lift"], [], [log]) if "centre" in row.kind
+        }
+        assert list(rows) == [f"{owner}.com_{axis}" for owner in owners for axis in "xyz"]
+        for about, row in rows.items():
+            (number,) = row.numbers
+            assert row.bounds == (-1.0, 1.0) and number.unit == number.upper == 0.6
+            moved = row.rig(rig, -0.5).parameters()[about]
+            assert float(moved) == pytest.approx(number.here - 0.3)
+    kinds = {
+        row.kind
+        for row in hypotheses(slide(), ["press"], [], [Record(T, {"press.servo.command": LEVELS})])
+    }
+    assert "load" in kinds and not {"inertia", "centre of mass"} & kinds
+
+
 def test_of_a_spool_whose_flows_are_measured_the_other_edge_is_asked():
     """A gain is of the valve, what no more opening adds is of the edge; an underlap stands for a
     deadband."""

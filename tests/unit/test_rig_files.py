@@ -34,6 +34,39 @@ def test_rigs_survive_writing_and_take_every_parameter(path, tmp_path):
         assert float(changed) == pytest.approx(other, rel=1e-12), name
 
 
+def test_a_vector_is_a_number_for_each_axis(tmp_path):
+    """Read as one list with one source, or by its entries; written so where these differ."""
+    rig = load_rig(FOLDER / "crane_proportional.toml")
+    known = rig.parameters()
+    assert [float(known[f"arm.com_{axis}"]) for axis in "xyz"] == [-1.9, 0.05, 0.0]
+    assert float(known["200 kg.arm.inertia_zz"]) == 532.0
+    text = (FOLDER / "crane_proportional.toml").read_text()
+    old = '{ value = ["-1.9 m", "0.05 m", "0 m"], source = "assumed" }'
+    new = '["-1.9 m", { value = "5 cm", source = "weighed", std = "1 cm", lower = "0 m" }, "0 m"]'
+    assert text.count(old) == 1
+    (tmp_path / "rig.toml").write_text(text.replace(old, new))
+    each = load_rig(tmp_path / "rig.toml")
+    across = each.parameters()["arm.com_y"]
+    assert (across.sure, across.std, across.lower, across.unit) == ("weighed", 0.01, 0.0, "cm")
+    assert each.as_toml()["mechanism"]["joint"][0]["com"][0] == "-1.9 m"
+    found = Value(-1.8, "identified", std=0.02)
+    moved = rig.with_values({"arm.com_x": found, "arm.com_z": 0.1})
+    assert moved.mechanism.joint[0].com.value == (-1.8, 0.05, 0.1)
+    (tmp_path / "rig.toml").write_text(tomli_w.dumps(moved.as_toml()))
+    again = load_rig(tmp_path / "rig.toml").parameters()
+    assert (again["arm.com_x"].std, again["arm.com_x"].sure) == (0.02, "identified")
+    assert (again["arm.com_y"].std, float(again["arm.com_z"])) == (None, 0.1)
+
+
+def test_values_that_no_body_has_are_refused_where_they_meet():
+    rig = load_rig(FOLDER / "crane_proportional.toml")
+    rig.with_values({"arm.inertia_zz": 193.0}).refuse_misfits()
+    for name in ("arm.inertia_zz", "200 kg.arm.inertia_zz"):
+        wrong = rig.with_values({name: 800.0})
+        with pytest.raises(InputError, match="no body has this inertia"):
+            wrong.refuse_misfits()
+
+
 @pytest.mark.parametrize(
     "more, head, rod",
     [

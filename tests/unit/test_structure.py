@@ -784,8 +784,8 @@ def test_commands_of_several_sizes_grade_a_valve(small, middle, graded):
     assert scales_of(np.repeat([0.9, 8.1, 10.0], [small, middle, large])).graded is False
 
 
-def searched(left, slopes, monkeypatch):
-    """(findings as name and size, how often models were run) where all is linear in its fault."""
+def linear(left, slopes, monkeypatch):
+    """(findings, how often models were run) where all is linear in its fault."""
     search, runs = search_of(left), []
 
     def at(points):
@@ -804,6 +804,12 @@ def searched(left, slopes, monkeypatch):
     assert len(pair) in (0, 2) and [item.jointly for item in pair] == pytest.approx(
         [both] * len(pair)
     )
+    return findings, runs
+
+
+def searched(*given):
+    """As `linear`, findings as name, size and what they explain."""
+    findings, runs = linear(*given)
     return [(item.about, item.size, item.explains) for item in findings], runs
 
 
@@ -833,6 +839,9 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
     sizes = [-3.0 * math.sqrt(0.98), -3.0, -rest / 26.0, -3.0 * math.sqrt(0.9)]
     assert [size for _, size, _ in found] == pytest.approx(sizes)
     assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, rest**2 / 26.0, 810.0])
+    first, *others = linear(30.0 * U + 20.0 * W, slopes, monkeypatch)[0]
+    assert first.alike == ("gain of first", "gain of nearest") and first.cause.key == "faults.alike"
+    assert not any(item.alike for item in others) and others[0].cause == others[0].sentence
     found, _ = searched(90.0 * U, {row: 10.0 * by for row, by in slopes.items()}, monkeypatch)
     assert [name for name, _, _ in found][:2] == ["first", "plainer"]
     rows = fault("weighed", 1, sure="weighed"), fault("assumed", 9, sure="assumed")

@@ -15,7 +15,7 @@ from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.config.rig.names import second
 from ehbench.control import LAW_NAMES
 from ehbench.vocabulary import message
-from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
+from ehbench.vocabulary.fields import FileModel, Internal, Q, Value, Vector
 
 
 class Command(FileModel):
@@ -228,7 +228,7 @@ class Motion(CylinderMotion):
 
     name: str = ""
     also: tuple[CylinderMotion, ...] = ()
-    points: tuple[Annotated[Value, Q("tip", 3)], ...] = ()
+    points: tuple[Annotated[Vector, Q("tip", "x y z")], ...] = ()
     cylinders: tuple[str, ...] = ()
     share_flow: bool = True
     device: str = "page"

@@ -1,31 +1,34 @@
 """What moves: a chain of joints or a slide, what a payload changes, how a cylinder drives it."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import Field, model_validator
 
-from ehbench.config.rig.names import Name
+from ehbench.config.rig.names import Misplaced, Name
 from ehbench.vocabulary import message
-from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.fields import FileModel, Q, Value, Vector
 
 _ROUNDED = 1e-2  # of an inertia that a drawing gives in two or three digits
 
 
-def _solid(inertia: Value) -> Value:
-    """An inertia that a body can have: with that of half its polar moment in each direction it is
-    the spread of its mass, and no spread is negative (the triangle inequality among others).
+def _solid(body: Any) -> Any:
+    """Refuses an inertia that no body has: with that of half its polar moment in each direction it
+    is the spread of its mass, and no spread is negative (the triangle inequality among others).
     """
-    xx, yy, zz, xy, xz, yz = inertia.value  # type: ignore[misc]
+    if body.inertia is None:
+        return body
+    xx, yy, zz, xy, xz, yz = body.inertia.value
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     spread = 0.5 * np.trace(tensor) * np.eye(3) - tensor
     rounded = _ROUNDED * abs(tensor).max()
     if min(xx, yy, zz) < 0.0 or np.linalg.eigvalsh(spread)[0] < -rounded:
-        raise ValueError(message("config.no_inertia"))
-    return inertia
+        raise Misplaced(message("config.no_inertia"), "inertia")
+    return body
 
 
-Inertia = Annotated[Value, Q("inertia", 6), AfterValidator(_solid)]
+Com = Annotated[Vector, Q("com", "x y z")]
+Inertia = Annotated[Vector, Q("inertia", "xx yy zz xy xz yz")]
 
 
 class Joint(FileModel):
@@ -39,9 +42,11 @@ class Joint(FileModel):
     dh_alpha: Annotated[Value, Q("dh_alpha")] = Value(0.0)
     dh_theta: Annotated[Value, Q("dh_theta")] = Value(0.0)
     mass: Annotated[Value, Q("mass")]
-    com: Annotated[Value, Q("com", 3)]
+    com: Com
     inertia: Inertia
     joint_damping: Annotated[Value, Q("joint_damping")] = Value(0.0)
+
+    _inertia_of_a_body = model_validator(mode="after")(_solid)
 
 
 class Chain(FileModel):
@@ -71,8 +76,10 @@ class LinkLoad(FileModel):
     """What a payload changes of one link (or of the slide); what is not named stays."""
 
     mass: Annotated[Value, Q("mass")] | None = None
-    com: Annotated[Value, Q("com", 3)] | None = None
+    com: Com | None = None
     inertia: Inertia | None = None
+
+    _inertia_of_a_body = model_validator(mode="after")(_solid)
 
 
 class Pins(FileModel):

@@ -22,7 +22,7 @@ from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.vocabulary import VOCABULARY, Quantity, from_si, message, plural, units
 from ehbench.vocabulary.errors import InputError, UnitError, nearest
-from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars
+from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars, with_scalars
 from ehbench.vocabulary.messages import digits
 from ehbench.vocabulary.notebook import label, shown, table
 from ehbench.vocabulary.units import factor
@@ -375,7 +375,7 @@ class Rig(FileModel):
         """Every scalar parameter by the name recipes use.
 
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
-        ``<payload>.<joint>.mass``,
+        ``<joint>.com_x``, ``<payload>.<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         results: dict[str, Value] = {}
@@ -418,10 +418,9 @@ class Rig(FileModel):
             if isinstance(part, DynamicsTable):
                 rig = _with_part(rig, place, part.with_values(new[prefix]))
                 continue
-            fields = type(part).model_fields
-            update = {key: value for key, value in new[prefix].items() if key in fields}
-            if update:
-                rig = _with_part(rig, place, part.model_copy(update=update))
+            changed = with_scalars(part, new[prefix])
+            if changed is not part:
+                rig = _with_part(rig, place, changed)
         return rig
 
     def refuse_misfits(self) -> None:
