@@ -1,8 +1,7 @@
 """Two machines from textbook equations (Merritt, Hydraulic Control Systems, 1967), which share
 nothing with the package: what their recorders write for `recipes/press` and `recipes/loader`.
 
-    python -m tests.strangers press DIRECTORY
-"""
+    python -m tests.strangers press DIRECTORY"""
 
 import sys
 from collections.abc import Callable
@@ -20,8 +19,7 @@ class Stranger:
     """A mass that one cylinder moves through a four-way spool. SI, gauge pressures.
 
     ``lap`` [V] opens each edge of the spool about its ``middle`` [V]; ``spring`` [N/m] is at rest
-    in mid-stroke, ``load`` [N] pushes the rod in.
-    """
+    in mid-stroke, ``load`` [N] pushes the rod in."""
 
     mass: float
     damping: float

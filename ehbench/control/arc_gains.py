@@ -194,8 +194,7 @@ def pack_arc(
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
-            model.
-    """
+            model."""
     _check(given, point.tick)
     places = _places(point.axis)
     bounds, total = _Bounds.of(point, given, places[0]), _total(point, given, places)
@@ -402,8 +401,7 @@ def check_modelled(unmodelled: Sequence[str], **where: Any) -> None:
     the law.
 
     Raises:
-        InputError: names the part.
-    """
+        InputError: names the part."""
     if unmodelled:
         raise InputError(message("control.arc_lacks_part", part=unmodelled[0]), **where)
 
@@ -414,8 +412,7 @@ def pack(
     """The gains on a site, and what is known of them: see `named_gains`.
 
     Raises:
-        InputError: the rig has a part that the law's model of the cylinder lacks.
-    """
+        InputError: the rig has a part that the law's model of the cylinder lacks."""
     check_modelled(point.unmodelled)
     packed, per_bandwidth = pack_arc(point, rules, gains)
     named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(point, packed)}

@@ -39,8 +39,7 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
 
     Raises:
         LogError: no pressures, no position or no commands of a cylinder; values that are not
-            finite.
-    """
+            finite."""
     notes: list[str] = []
     names, cylinders, size = model.layout, model.plant.cylinders, record.t.size
 

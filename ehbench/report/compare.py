@@ -87,8 +87,7 @@ def compare(first: Path, second: Path) -> Comparison:
     """What differs between two runs.
 
     Raises:
-        InputError: no run, or runs of different kinds.
-    """
+        InputError: no run, or runs of different kinds."""
     chapters = reported(first)[0], reported(second)[0]
     item, other = (chapter.run for chapter in chapters)
     if item.what != other.what or item.stage != other.stage:

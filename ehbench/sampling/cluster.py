@@ -85,8 +85,7 @@ class Cluster:
     hangs over a sample beyond the ``limit`` [s] is restarted.
 
     Raises:
-        InputError: no such extra is installed, or no scheduler answers.
-    """
+        InputError: no such extra is installed, or no scheduler answers."""
 
     def __init__(
         self,
@@ -126,8 +125,7 @@ class Cluster:
         """The samples of tasks, some at a time, in any order.
 
         Raises:
-            InputError: a worker has another version of the package.
-        """
+            InputError: a worker has another version of the package."""
         tasks = iter(tasks)
         with self._client as client:
             sent = client.scatter(self._sent, broadcast=False, hash=True)

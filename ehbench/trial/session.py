@@ -97,8 +97,7 @@ class Session:
 
     Raises:
         InputError: a posture that the machine cannot take; a limit reached before the start; a
-            user's class that cannot be loaded.
-    """
+            user's class that cannot be loaded."""
 
     def __init__(
         self,
@@ -179,8 +178,7 @@ class Session:
 
         Raises:
             SimulationError: the numbers left the finite range.
-            InputError: a user's class raised, or gave no commands.
-        """
+            InputError: a user's class raised, or gave no commands."""
         with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
@@ -404,8 +402,7 @@ class Session:
 class LiveLog:
     """The log of a running trial: what came until less than a second ago can be read, however the
     process ends. The facts in ``meta`` are those that are known; ``threaded``, a thread writes,
-    and the trial does not wait for the disk.
-    """
+    and the trial does not wait for the disk."""
 
     def __init__(
         self,
@@ -426,8 +423,7 @@ class LiveLog:
         """Append rows.
 
         Raises:
-            OSError: the disk is full, perhaps since the rows before.
-        """
+            OSError: the disk is full, perhaps since the rows before."""
         rows = np.stack(list(channels.values()), axis=1)
         if self._pool is None:
             return self.writer.extend(t, rows)

@@ -1,6 +1,5 @@
 """Judge a model on logs it was not fitted to: simulated against recorded, residuals, ringing, a
-verdict with reasons.
-"""
+verdict with reasons."""
 
 from ehbench.validation.judge import (
     PreparedValidation,

@@ -9,8 +9,7 @@ python -m tools.studies.recovery_study slide_servo supply.flow_limit spool.dampi
 python -m tools.studies.recovery_study "slide, lugre" seeds=20   # as many draws of noise, one start
 
 Of what lies beside the truth stands where the noise alone would have it, in standard errors: by the
-sensitivities at the truth, all else known. Where the fit is as far off as that, it is the draw.
-"""
+sensitivities at the truth, all else known. Where the fit is as far off as that, it is the draw."""
 
 from __future__ import annotations
 
