@@ -52,10 +52,7 @@ class Stranger:
         force = head * self.areas[0] - rod * self.areas[1] - self.load
         force -= self.spring * (x - 0.5 * self.stroke) + self.damping * v
         force -= self.coulomb * np.tanh(v / 2.0e-3)
-        room = (
-            self.dead + self.areas[0] * x,
-            self.dead + self.areas[1] * (self.stroke - x),
-        )
+        room = (self.dead + self.areas[0] * x, self.dead + self.areas[1] * (self.stroke - x))
         return [
             v,
             force / self.mass,

@@ -6,14 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ehbench import workflow
-from ehbench.config.recipe import (
-    BenchRecipe,
-    Recipe,
-    TrialRecipe,
-    kind_of,
-    load_recipe,
-    load_rig,
-)
+from ehbench.config.recipe import BenchRecipe, Recipe, TrialRecipe, kind_of, load_recipe, load_rig
 from ehbench.links import layout, responder
 from ehbench.links.opening import CARDS, Address
 from ehbench.links.quality import measure

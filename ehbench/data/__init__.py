@@ -60,10 +60,7 @@ def read(
 
 
 def _read(
-    path: Path,
-    columns: ColumnMap | str | Path | None,
-    check: bool,
-    window: Window | None,
+    path: Path, columns: ColumnMap | str | Path | None, check: bool, window: Window | None
 ) -> Record:
     """One file, as `read` reads it."""
     from ehbench.config.recipe.columns import ColumnMap, load_columns

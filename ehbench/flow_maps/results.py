@@ -465,11 +465,7 @@ def _fall(built: FlowMap) -> float:
 
 
 def check_calibration(
-    result: FlowMap,
-    command: float,
-    target: float,
-    tolerance: float,
-    reference: float | None,
+    result: FlowMap, command: float, target: float, tolerance: float, reference: float | None
 ) -> Calibration:
     """A calibration point against the map, at the reference drop [Pa] or over the upper half."""
     low, high = (

@@ -310,10 +310,7 @@ def by_channel(sizes: Mapping[str, float], log: Log) -> np.ndarray:
 
 
 def evaluate(
-    problem: Problem,
-    state: State,
-    theta: np.ndarray | None = None,
-    shifts: Shifts | None = None,
+    problem: Problem, state: State, theta: np.ndarray | None = None, shifts: Shifts | None = None
 ) -> State:
     """The state at a point, by default its own, with the residuals there. The integration takes the
     steps of the last point if that is near."""

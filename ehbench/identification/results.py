@@ -37,10 +37,7 @@ class ResultSettings:
     """Numbers of the notes on a fit."""
 
     little: float = setting(
-        0.1,
-        "",
-        "residual of a channel, of its spread, up to which nothing is said",
-        "fits of 90 %",
+        0.1, "", "residual of a channel, of its spread, up to which nothing is said", "fits of 90 %"
     )
     structure: float = setting(3.0, "", "residual over noise that is more than noise", "clear")
     fine: float = setting(0.005, "", "smallest noise of a channel, of its spread", "best sensors")

@@ -12,15 +12,7 @@ from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import Answer, reported
-from ehbench.report.words import (
-    DASH,
-    number,
-    pretty,
-    shown,
-    unit_of,
-    with_interval,
-    words,
-)
+from ehbench.report.words import DASH, number, pretty, shown, unit_of, with_interval, words
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
 from ehbench.vocabulary import Z95, InputError, message

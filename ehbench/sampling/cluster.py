@@ -88,11 +88,7 @@ class Cluster:
         InputError: no such extra is installed, or no scheduler answers."""
 
     def __init__(
-        self,
-        workers: Workers,
-        bundle: Bundle,
-        measures: int,
-        limit: float | None = None,
+        self, workers: Workers, bundle: Bundle, measures: int, limit: float | None = None
     ) -> None:
         try:
             from distributed import Client, Security

@@ -46,12 +46,7 @@ from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.realtime import aside
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.lever import LEVER_CHANNELS
-from ehbench.trial.operator import (
-    Operator,
-    OperatorInput,
-    levers_of,
-    refuse_unmanned,
-)
+from ehbench.trial.operator import Operator, OperatorInput, levers_of, refuse_unmanned
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary import InputError, message, quantity, setting
@@ -168,9 +163,7 @@ class Session:
                 )
 
     def run(
-        self,
-        log: LiveLog | None = None,
-        progress: Callable[[str, float], None] | None = None,
+        self, log: LiveLog | None = None, progress: Callable[[str, float], None] | None = None
     ) -> None:
         """Run to the end, or after a limit until the machine stands, for RUN_OUT at most; ``stop``
         then says which limit, ``after`` what came of it, ``end`` how many rows there are. A log

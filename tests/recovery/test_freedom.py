@@ -41,10 +41,7 @@ def test_a_compensators_drop_is_told_by_its_range(truth, start):
     """Below every drop of the logs it changes nothing, and is known to be so low."""
     made = simulate(compensated(truth), {"press.servo": pulses(801, 2.0)}, 0.8)
     given = FitOptions(
-        start={DROP: start, "bulk_modulus": 7e8},
-        lower={DROP: 2e4},
-        upper={DROP: 1.2e7},
-        workers=1,
+        start={DROP: start, "bulk_modulus": 7e8}, lower={DROP: 2e4}, upper={DROP: 1.2e7}, workers=1
     )
     fit = identify_hydraulics(
         compensated(truth), [("log", noisy(made, 1))], ["bulk_modulus", DROP], given

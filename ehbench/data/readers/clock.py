@@ -39,10 +39,7 @@ _EPOCHS = (
     (False, 1.0e8, 1.0e10, 0.0),
 )
 # nanoseconds a tick, first and last count of recordings, the year 1970
-_TICKS = (
-    (1, 10**18, 26 * 10**17, 0),
-    (100, 12 * 10**16, 17 * 10**16, 116444736 * 10**9),
-)
+_TICKS = ((1, 10**18, 26 * 10**17, 0), (100, 12 * 10**16, 17 * 10**16, 116444736 * 10**9))
 
 
 class _Stamp(NamedTuple):

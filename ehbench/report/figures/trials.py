@@ -10,12 +10,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.cases import Case
-from ehbench.report.figures.trial import (
-    function_bars,
-    plot_channel,
-    plot_commands,
-    tracking_error,
-)
+from ehbench.report.figures.trial import function_bars, plot_channel, plot_commands, tracking_error
 from ehbench.report.style import (
     ACCENT,
     CYCLE,
