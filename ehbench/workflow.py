@@ -35,29 +35,6 @@ if TYPE_CHECKING:
     from ehbench.stages.planning import NextTest
     from ehbench.trial.preparation import Prepared
 
-__all__ = [
-    "DONE",
-    "INCOMPLETE",
-    "REJECTED",
-    "ROOT",
-    "STOPPED",
-    "Certificates",
-    "Outcome",
-    "RigState",
-    "Session",
-    "ValidatedRig",
-    "Workers",
-    "expect_stage",
-    "export",
-    "machine_of",
-    "next_test",
-    "prepared_trial",
-    "profile",
-    "report",
-    "run",
-    "sample",
-    "suggest",
-]
 ROOT = Path("reports")
 
 

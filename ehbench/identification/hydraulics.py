@@ -29,7 +29,7 @@ from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import SETTINGS as MEANS
 from ehbench.identification.means import Decimate
 from ehbench.identification.problem import Problem, problem_of
-from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
+from ehbench.identification.results import HydraulicsFit
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
 from ehbench.parts.edge import edge_law
@@ -43,19 +43,6 @@ from ehbench.signals.series import correlation_time
 from ehbench.vocabulary import VOCABULARY, Z95, Progress, message
 from ehbench.vocabulary.errors import InputError, InsufficientData, placed
 from ehbench.vocabulary.quantities import meant
-
-__all__ = [
-    "FitOptions",
-    "FittedParameter",
-    "HydraulicsFit",
-    "LogFit",
-    "Match",
-    "PreparedFit",
-    "Variant",
-    "identify_hydraulics",
-    "prepare_fit",
-    "run_fit",
-]
 
 
 @dataclass(frozen=True)
