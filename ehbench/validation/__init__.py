@@ -9,10 +9,4 @@ from ehbench.validation.judge import (
     run_validation,
     validate_rig,
 )
-from ehbench.validation.results import (
-    LogResult,
-    Ring,
-    Validation,
-    read_validation,
-    speaking_against,
-)
+from ehbench.validation.results import LogResult, Ring, Validation, speaking_against
