@@ -9,8 +9,7 @@
 Everything is SI inside; `ehbench.vocabulary.quantities` names each quantity with its unit. Commands
 of the command line are functions of the same names: `check`, `identify`, `validate`, `tune`,
 `run_trial`, `report`; `run` takes a recipe of any stage. Importing the package changes nothing else
-in the process.
-"""
+in the process."""
 
 from __future__ import annotations
 
@@ -80,8 +79,7 @@ def __dir__() -> list[str]:
 
 class _Face(ModuleType):
     """The package: its functions stay what they are when the packages `ehbench.tune` and
-    `ehbench.report` are imported, which Python would set in their place.
-    """
+    `ehbench.report` are imported, which Python would set in their place."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (name in __all__ and isinstance(value, ModuleType)):
@@ -106,8 +104,7 @@ def check(file: str | Path) -> Inspection:
             else 3 with data loss, else 0.
 
     Raises:
-        InputError: the file cannot be taken for what it is.
-    """
+        InputError: the file cannot be taken for what it is."""
     from ehbench.app import inspection
 
     return inspection.check(Path(file))
@@ -126,8 +123,7 @@ def identify(
         run = ehbench.identify("recipes/slide_servo/hydraulics.toml")
         run.parameters.loc["bulk_modulus"]
 
-    Arguments and errors as in `run`.
-    """
+    Arguments and errors as in `run`."""
     return _run(recipe, "identify", out, progress, allow_code=allow_code)
 
 
@@ -145,8 +141,7 @@ def validate(
         run = ehbench.validate("recipes/slide_servo/validation.toml")
         run.code, run.json("validation")["verdict"]
 
-    Arguments and errors as in `run`.
-    """
+    Arguments and errors as in `run`."""
     return _run(recipe, "validate", out, progress, allow_code=allow_code)
 
 
@@ -163,8 +158,7 @@ def tune(
         run = ehbench.tune("recipes/slide_servo/tuning.toml")
         run.json("tuning")["gains"]
 
-    Arguments and errors as in `run`.
-    """
+    Arguments and errors as in `run`."""
     return _run(recipe, "tune", out, progress, unvalidated=unvalidated)
 
 
@@ -182,8 +176,7 @@ def run_trial(
         run = ehbench.run_trial("my_rig/recipes/step_small.toml")
         log = ehbench.read_log(run.folder / "log.mcap")
 
-    Arguments and errors as in `run`.
-    """
+    Arguments and errors as in `run`."""
     allowed = {"allow_code": allow_code, "unvalidated": unvalidated}
     return _run(recipe, "run-trial", out, progress, **allowed)
 
@@ -207,8 +200,7 @@ def open_machine(
         allow_code: as in `run`.
 
     Raises:
-        InputError: a bad file, no such payload.
-    """
+        InputError: a bad file, no such payload."""
     from ehbench import workflow
 
     session = _session(None, None, allow_code=allow_code)
@@ -228,8 +220,7 @@ def open_controller(
         controller.start(sample)
         volts = controller.step(sample)
 
-    Arguments and errors as in `run`.
-    """
+    Arguments and errors as in `run`."""
     from ehbench import workflow
     from ehbench.trial.stepping import RecipeController
 
@@ -264,8 +255,7 @@ def run_on(
         The record, and the facts of ``trial.json``.
 
     Raises:
-        InputError: a machine that does not fit the recipe; as `run`.
-    """
+        InputError: a machine that does not fit the recipe; as `run`."""
     from ehbench import trial, workflow
     from ehbench.trial.stepping import refuse_other
 
@@ -295,8 +285,7 @@ def linear_models(
 
     Raises:
         InputError: a bad file, or no recipe of tuning.
-        InsufficientData: no cylinder can move.
-    """
+        InsufficientData: no cylinder can move."""
     from ehbench import workflow
     from ehbench.config.recipe import load_rig
     from ehbench.export.linear import state_spaces
@@ -336,8 +325,7 @@ def run(
     Raises:
         InputError: a bad recipe or bad data; with file, line and what would be right.
         InsufficientData: the data do not support the result.
-        ModelRejected: the rig is not validated.
-    """
+        ModelRejected: the rig is not validated."""
     from ehbench import workflow
 
     session = _session(out, progress, unvalidated=unvalidated, allow_code=allow_code)
@@ -365,8 +353,7 @@ def report(
         The outcome, in whose ``.folder`` the page is: ``report.html``.
 
     Raises:
-        InputError: a folder is no whole run.
-    """
+        InputError: a folder is no whole run."""
     from ehbench import workflow
 
     folders = [Path(run) if isinstance(run, str | Path) else run.folder for run in runs]

@@ -35,29 +35,6 @@ if TYPE_CHECKING:
     from ehbench.stages.planning import NextTest
     from ehbench.trial.preparation import Prepared
 
-__all__ = [
-    "DONE",
-    "INCOMPLETE",
-    "REJECTED",
-    "ROOT",
-    "STOPPED",
-    "Certificates",
-    "Outcome",
-    "RigState",
-    "Session",
-    "ValidatedRig",
-    "Workers",
-    "expect_stage",
-    "export",
-    "machine_of",
-    "next_test",
-    "prepared_trial",
-    "profile",
-    "report",
-    "run",
-    "sample",
-    "suggest",
-]
 ROOT = Path("reports")
 
 
@@ -71,8 +48,7 @@ class Session(Host):
         ask: (what is about to happen, a token) → what a person typed; a machine moves only then.
         live: the address of a trial's live view → whether it may draw on the terminal.
         finished: outcomes by recipe file: each recipe is run once.
-        under_way: the recipes that wait for the one at work.
-    """
+        under_way: the recipes that wait for the one at work."""
 
     allow_code: bool = False
     unvalidated: bool = False
@@ -85,8 +61,7 @@ class Session(Host):
         """What a recipe takes in; other recipes that it names are run when it asks for them.
 
         Raises:
-            InputError: it needs itself.
-        """
+            InputError: it needs itself."""
         if recipe.path in self.under_way:
             raise CircularRecipes.of(list(self.under_way), recipe.path)
         session = replace(self, out=None, under_way=(*self.under_way, recipe.path))
@@ -113,8 +88,7 @@ def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
     """Run a recipe of any stage.
 
     Raises:
-        EhbenchError: bad input, data that do not support the result, …; no run folder is left.
-    """
+        EhbenchError: bad input, data that do not support the result, …; no run folder is left."""
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     session, stage = session or Session(), stages.stage_of(recipe)
     if not isinstance(stage, Stage):
@@ -131,8 +105,7 @@ def profile(recipe: Recipe | Path | str, name: str, session: Session | None = No
     """The profile likelihood of a parameter of a hydraulics recipe, in a run folder of its own.
 
     Raises:
-        EhbenchError: as `run`; another kind of recipe, a parameter that it does not fit.
-    """
+        EhbenchError: as `run`; another kind of recipe, a parameter that it does not fit."""
     from ehbench.stages.planning import write_profile
 
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
@@ -150,8 +123,7 @@ def export(source: Path, options: Mapping[str, Any], session: Session | None = N
         session: as for `run`.
 
     Raises:
-        EhbenchError: as `run`; options for a recipe of an export, which has them.
-    """
+        EhbenchError: as `run`; options for a recipe of an export, which has them."""
     from ehbench.stages.export import recipe_for, withdraw
 
     session = session or Session()
@@ -177,8 +149,7 @@ def suggest(
         seconds: after which nothing more is tried; 120 by default.
 
     Raises:
-        EhbenchError: as `run`, or a recipe of another kind.
-    """
+        EhbenchError: as `run`, or a recipe of another kind."""
     from ehbench.guidance import suggestions
     from ehbench.stages import hydraulics
 
@@ -200,8 +171,7 @@ def next_test(folder: Path, name: str | None = None, session: Session | None = N
     that is known least; with ``session.out`` the best is written there as a recipe.
 
     Raises:
-        EhbenchError: no such run or parameter, a recipe that has changed, no possible test.
-    """
+        EhbenchError: no such run or parameter, a recipe that has changed, no possible test."""
     from ehbench.report.provenance import TracedRun
     from ehbench.stages.planning import plan, recipe_of
 
@@ -217,8 +187,7 @@ def prepared_trial(path: Path | str, session: Session | None = None) -> Prepared
     """The trial of a recipe before its first tick, with all that the recipe names.
 
     Raises:
-        EhbenchError: as `run`; a recipe of another stage.
-    """
+        EhbenchError: as `run`; a recipe of another stage."""
     from ehbench.stages.trial import TrialStage
 
     recipe, session = load_recipe(path), session or Session()
@@ -233,8 +202,7 @@ def machine_of(
     """The machine of a trial's recipe, or the model of a rig file or run folder.
 
     Raises:
-        EhbenchError: no such payload or rate, as `prepared_trial`.
-    """
+        EhbenchError: no such payload or rate, as `prepared_trial`."""
     from ehbench.machines.fmu import FmuMachine
     from ehbench.machines.simulated import SimulatedMachine
     from ehbench.plant.foreign import FmuModel
@@ -261,8 +229,7 @@ def sample(study: Path, index: int, session: Session | None = None) -> Recipe:
         session: as for `run`; the folder goes to its root.
 
     Raises:
-        EhbenchError: no such study or sample, a recipe that has changed since its run.
-    """
+        EhbenchError: no such study or sample, a recipe that has changed since its run."""
     from ehbench.stages.study import sample_recipe
 
     session = session or Session()
@@ -273,8 +240,7 @@ def expect_stage(path: Path | str, *commands: str) -> Recipe:
     """The recipe of a file that one of these commands runs.
 
     Raises:
-        InputError: with the command that takes it.
-    """
+        InputError: with the command that takes it."""
     recipe = load_recipe(path)
     stage = stages.stage_of(recipe)
     command = stage.command if isinstance(stage, Stage) else None

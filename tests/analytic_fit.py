@@ -3,8 +3,7 @@
     x(t) = gain · (1 − e^(−d t) (cos ωt + d/ω sin ωt)) + start · e^(−d t) cos ωt,  ω² ∝ oil
 
 A fourth parameter may be a `LAG`, behind which the step comes, or a `TWIN` that multiplies the
-gain.
-"""
+gain."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace as Stub
@@ -23,8 +22,7 @@ T = np.arange(600) * 2e-3
 
 def stroke(values: Sequence[float], offset: float, side: float, more: str = "") -> np.ndarray:
     """Stroke and speed [m, m/s] after a step to one side, shape (samples, 2); ``more`` names the
-    fourth of the values.
-    """
+    fourth of the values."""
     bulk, decay, gain = values[:3]
     omega = 8.0 * np.pi * np.sqrt(bulk / 1e9)
     wave, fade = np.cos(omega * T), np.exp(-decay * T)
@@ -86,8 +84,7 @@ def log_of(k: int, noise: float, seed: int) -> Stub:
 
 def problem(factors=(1.0, 1.0, 1.0), noise=0.02, more=(), upper=(1e3,) * 3, **given) -> Problem:
     """A search that begins so many times the truth off, up to ``upper`` times the truth; ``more``:
-    name, start, bounds and prior of a fourth parameter.
-    """
+    name, start, bounds and prior of a fourth parameter."""
     rows = zip(NAMES, TRUTH, factors, upper, strict=True)
     search = [Coordinate(n, True, 1.0, f * x, x / 1e3, top * x) for n, x, f, top in rows]
     if more:

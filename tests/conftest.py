@@ -1,6 +1,5 @@
 """What several test modules share; one BLAS thread, as the package's own runs have, before numpy is
-loaded.
-"""
+loaded."""
 
 import fcntl
 import gc
@@ -38,8 +37,7 @@ _LEFT = pytest.StashKey[int]()  # how many tests the words after -m leave out
 def pytest_collection_finish() -> None:
     """Let the collector of garbage pass over what is there before the first test, modules above
     all: they stay, and to look through them again and again took a twentieth of all the time; and
-    let it look less often at what comes after, another twentieth.
-    """
+    let it look less often at what comes after, another twentieth."""
     gc.collect()
     gc.freeze()
     gc.enable()
@@ -78,8 +76,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Path]:
     """Gives the folder of a name, filled by the first of the parallel workers that asks for it. It
-    is for all: what changes files works on a copy.
-    """
+    is for all: what changes files works on a copy."""
     root = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent
@@ -124,8 +121,7 @@ def boom_maps(made_once) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch) -> None:
     """Runs leave an empty index in place of figures, for tests that look at none: to draw takes
-    most of a short run.
-    """
+    most of a short run."""
     _undrawn(monkeypatch)
 
 
@@ -164,8 +160,7 @@ def _blank(patch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def unlocused(monkeypatch) -> None:
     """Tunings leave out the root loci and step responses that the report draws, for tests that look
-    at gains: python-control takes a third of a tuning for them.
-    """
+    at gains: python-control takes a third of a tuning for them."""
     module = importlib.import_module("ehbench.tune.gains")  # the package has a function `tune`
     monkeypatch.setattr(module, "_curves", lambda *_: ((), ()))
 
@@ -205,8 +200,7 @@ def inside(door, monkeypatch, capsys) -> Callable[..., subprocess.CompletedProce
 @pytest.fixture
 def kept(monkeypatch) -> None:
     """The package's functions leave a run alone that stands with the very same inputs, as campaigns
-    do: many examples run one recipe, each to show another word.
-    """
+    do: many examples run one recipe, each to show another word."""
     import ehbench
 
     made = ehbench._session
@@ -217,8 +211,7 @@ def kept(monkeypatch) -> None:
 def workspace(tmp_path_factory, slide_runs, boom_maps) -> Path:
     """Where the examples of docs and docstrings run: beside the repository's recipes and datasets,
     a new workspace ``my_rig``, the runs of the slide's campaign and of the boom's flow maps, and a
-    run ``reports/flow_maps`` of one valve's readings.
-    """
+    run ``reports/flow_maps`` of one valve's readings."""
     from ehbench import workflow
     from ehbench.app import starter
 

@@ -93,8 +93,7 @@ UNITS = {"beta": "Pa", "drag": "N.s/m", "x0": "m", "x": "m", "v": "m/s", "u": "V
 def press_fmu(path: Path, fault: str = "", platform: str = "linux64") -> Path:
     """The FMU, its pressures in bar; ``fault`` is CRASH, HANG, REFUSE or NANS.
 
-    Skips where there is no C compiler.
-    """
+    Skips where there is no C compiler."""
     if shutil.which("gcc") is None:
         pytest.skip("no gcc to build an FMU with")
     rows = []

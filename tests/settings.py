@@ -110,12 +110,13 @@ def each(settings: Any, names: str, scenario: Any, outcome: Any) -> list[tuple]:
 
 
 def each_shows(rows):
-    """The test of a table of settings, names, scenarios and their outcomes."""
+    """The test of a table of settings, names, scenarios and their outcomes; with inputs before the
+    outcomes, of a scenario of each."""
 
-    @pytest.mark.parametrize(
-        ("settings", "name", "scenario", "outcome"), rows, ids=lambda x: str(x)[:16]
-    )
-    def test(settings, name, scenario, outcome):
-        shows(settings, name, scenario, outcome)
+    @pytest.mark.parametrize("row", rows, ids=lambda row: f"{str(row[0])[:16]}-{row[1]}")
+    def test(row):
+        settings, name, scenario, *inputs, outcome = row
+        over = (lambda: [scenario(x) for x in inputs[0]]) if inputs else scenario
+        shows(settings, name, over, outcome)
 
     return test

@@ -39,8 +39,7 @@ def slide(**cylinder: Any) -> Rig:
 
 def cycle(cylinder: str, waypoints, speed: str, *, gains=None, move=None, **given) -> TrialRecipe:
     """A trial of adaptive robust control from stroke to stroke; ``move`` are more keys of its
-    motion, ``given`` other ones of its recipe.
-    """
+    motion, ``given`` other ones of its recipe."""
     motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": waypoints}
     motion |= {"speed": speed} | (move or {})
     about = {"stage": "trial", "rig": "x.toml", "motion": motion, "path": RECIPES / "trial.toml"}
@@ -62,8 +61,7 @@ def measured(
     before: int = 0,
 ) -> Record:
     """What sensors would say of a simulation: no flows or openings, nothing of ``drop``, and noise
-    of a size by word, white or of first order with ``pole``, begun so many samples ``before``.
-    """
+    of a size by word, white or of first order with ``pole``, begun so many samples ``before``."""
     from scipy.signal import lfilter
 
     rng, channels = np.random.default_rng(seed), {}

@@ -1,8 +1,7 @@
 """Two machines from textbook equations (Merritt, Hydraulic Control Systems, 1967), which share
 nothing with the package: what their recorders write for `recipes/press` and `recipes/loader`.
 
-    python -m tests.strangers press DIRECTORY
-"""
+    python -m tests.strangers press DIRECTORY"""
 
 import sys
 from collections.abc import Callable
@@ -20,8 +19,7 @@ class Stranger:
     """A mass that one cylinder moves through a four-way spool. SI, gauge pressures.
 
     ``lap`` [V] opens each edge of the spool about its ``middle`` [V]; ``spring`` [N/m] is at rest
-    in mid-stroke, ``load`` [N] pushes the rod in.
-    """
+    in mid-stroke, ``load`` [N] pushes the rod in."""
 
     mass: float
     damping: float
@@ -54,10 +52,7 @@ class Stranger:
         force = head * self.areas[0] - rod * self.areas[1] - self.load
         force -= self.spring * (x - 0.5 * self.stroke) + self.damping * v
         force -= self.coulomb * np.tanh(v / 2.0e-3)
-        room = (
-            self.dead + self.areas[0] * x,
-            self.dead + self.areas[1] * (self.stroke - x),
-        )
+        room = (self.dead + self.areas[0] * x, self.dead + self.areas[1] * (self.stroke - x))
         return [
             v,
             force / self.mass,

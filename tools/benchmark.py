@@ -1,6 +1,5 @@
 """The numbers that are measured, not tested: speed, accuracy, fit time, log time, start-up.
-``python -m tools.benchmark``.
-"""
+``python -m tools.benchmark``."""
 
 from __future__ import annotations
 

@@ -103,8 +103,7 @@ def _log(recipe: DatasetRecipe, rig: Rig, item: DatasetLog, path: Path) -> None:
     """Record one log.
 
     Raises:
-        InputError: a limit stopped it, so the dataset would not be what its recipe says.
-    """
+        InputError: a limit stopped it, so the dataset would not be what its recipe says."""
     trial = TrialRecipe(
         stage="trial",
         title=item.title,
@@ -156,8 +155,7 @@ def make(path: Path, out: Path) -> Path:
     that folder.
 
     Raises:
-        InputError: the recipe, its bench or rig is wrong, or a limit stopped a log.
-    """
+        InputError: the recipe, its bench or rig is wrong, or a limit stopped a log."""
     recipe = load_recipe(path)
     if not isinstance(recipe, DatasetRecipe):
         raise InputError(

@@ -2,8 +2,7 @@
 the tree, and the share that the quick tests kill. A line that only others run, or none, lets its
 mutants survive; one that hangs is killed, and named.
 
-python -m tools.mutate [MUTANTS] [MINUTES] [SEED]
-"""
+python -m tools.mutate [MUTANTS] [MINUTES] [SEED]"""
 
 import ast
 import difflib

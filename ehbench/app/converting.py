@@ -22,8 +22,7 @@ def convert(
 
     Raises:
         LogError: the log cannot be read.
-        InputError: something stands there already, or what writes it is not installed.
-    """
+        InputError: something stands there already, or what writes it is not installed."""
     log = path / "log.mcap" if (path / "log.mcap").is_file() else path
     named = path.resolve().name if log != path else path.name.partition(".")[0]
     out = out or Path(f"{named}.{to}")

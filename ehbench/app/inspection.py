@@ -71,8 +71,7 @@ def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> I
 
     Raises:
         InputError: the file is none of these. Errors in what a recipe requests are collected in
-            ``errors``.
-    """
+            ``errors``."""
     if reason := impossible(path):
         raise InputError(message("app.no_path", reason=reason), file=shortened_path(path))
     if not path.exists():

@@ -6,14 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ehbench import workflow
-from ehbench.config.recipe import (
-    BenchRecipe,
-    Recipe,
-    TrialRecipe,
-    kind_of,
-    load_recipe,
-    load_rig,
-)
+from ehbench.config.recipe import BenchRecipe, Recipe, TrialRecipe, kind_of, load_recipe, load_rig
 from ehbench.links import layout, responder
 from ehbench.links.opening import CARDS, Address
 from ehbench.links.quality import measure
@@ -33,8 +26,7 @@ def moved_to(recipe: Recipe | None, url: str) -> TrialRecipe:
     """A trial on the machine at a URL.
 
     Raises:
-        InputError: it is no single trial, or no URL.
-    """
+        InputError: it is no single trial, or no URL."""
     if not isinstance(recipe, TrialRecipe):
         raise InputError(message("links.only_trial"))
     return recipe.model_copy(update={"on": Address.of(url).url})
@@ -44,8 +36,7 @@ def wire(rig: Path, kinds: Sequence[str], rate: float, out: Path | None) -> str:
     """The layout of a rig's packets of each kind, or the names of the files that were written.
 
     Raises:
-        InputError: the file is none of a rig.
-    """
+        InputError: the file is none of a rig."""
     if (kind := kind_of(rig)) != "rig":
         raise InputError(message("links.wire_rig", kind=kind), file=rig)
     built = layout.Layout.of(load_rig(rig))
@@ -75,8 +66,7 @@ def served(
     """A trial's machine, or that of a bench file, as a target; the trial beside it.
 
     Raises:
-        InputError: another kind of file.
-    """
+        InputError: another kind of file."""
     recipe = load_recipe(file)
     if isinstance(recipe, BenchRecipe):
         keys: dict[str, Any] = {"rig": recipe.rig, "bench": recipe.path.name, "on": "bench"}
@@ -105,8 +95,7 @@ def serve(
     """Serve a trial's machine, or that of a bench file, until a signal ends it.
 
     Raises:
-        InputError: another kind of file, a URL that cannot be served.
-    """
+        InputError: another kind of file, a URL that cannot be served."""
     address = Address.of(url)
     if address.scheme in CARDS:
         raise InputError(message("links.card", url=url))

@@ -14,8 +14,7 @@ def look_up(text: str = "") -> Answer:
     ``text``, in any case; all by default.
 
     Raises:
-        InputError: none does; the message names the nearest.
-    """
+        InputError: none does; the message names the nearest."""
     word = text.casefold()
     rows = [
         row

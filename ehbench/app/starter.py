@@ -14,8 +14,7 @@ def find_campaign(name: str) -> Path:
     beside the package, or a file.
 
     Raises:
-        InputError: there is none.
-    """
+        InputError: there is none."""
     here, places = Path(name) / "campaign.toml", (Path("recipes"), rundir.shipped("recipes"))
     for candidate in (Path(name), *(place / here for place in places)):
         if not impossible(candidate) and candidate.is_file():
@@ -30,8 +29,7 @@ def init(folder: Path) -> None:
     written over.
 
     Raises:
-        InputError: the folder exists and is not empty, or cannot be created.
-    """
+        InputError: the folder exists and is not empty, or cannot be created."""
     template = rundir.PACKAGE / "workspace"
     try:
         place = folder.resolve()

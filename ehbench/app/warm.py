@@ -4,8 +4,7 @@ does.
 Every machine runs a short trial under every law, at once and tick by tick, and an arm moves several
 cylinders at a time. What that compiled stays until a kernel changes. Python's own byte code is
 written too: where the environment forbids it (PYTHONDONTWRITEBYTECODE, as in containers), each
-start would compile the package anew, half a second.
-"""
+start would compile the package anew, half a second."""
 
 from __future__ import annotations
 
@@ -71,8 +70,7 @@ def started() -> Rig:
 
 def trials(machine: str, *laws: str) -> str:
     """Run the short trials of one machine under some laws, "" for none; gives back what they are
-    called.
-    """
+    called."""
     from ehbench.trial import run
     from ehbench.trial.cases import account
 
@@ -159,8 +157,7 @@ def ahead() -> None:
 def main() -> None:
     """Compile for all machines, a process each processor, and say how far it is.
 
-    The plant comes first, as processes that need it at once would each compile it.
-    """
+    The plant comes first, as processes that need it at once would each compile it."""
     if sys.argv[1:] == ["--ahead"]:
         return ahead()
     model, *others = get_args(TrialSetRecipe.model_fields["on"].annotation)

@@ -21,55 +21,20 @@ from ehbench.vocabulary import VOCABULARY, InputError, message, setting
 from ehbench.vocabulary.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
 
 GAIN_NAMES = (
-    "tick",
-    "adapt",
-    "position_bandwidth",
-    "speed_bandwidth",
-    "force_bandwidth",
-    "bandwidth_limit",
-    "coupling_frequency",
-    "speed_tolerance",
-    "force_tolerance",
-    "robust_limit",
-    "pressure_bandwidth",
-    "low_pressure",
-    "pressure_rate",
-    "observer_bandwidth",
-    "speed_correction",
-    "speed_nudge",
-    "stroke_resolution",
-    "load_corner",
-    "standby",
-    "flow_reserve",
-    "valve_lead",
-    "drop_floor",
-    "drop_corner",
-    "weighing_time",
-    "reference_mass",
-    "adapt_oil",
-    "adapt_maps",
-    "map_bandwidth",
-    "map_error",
-    "deadband_error",
+    *("tick", "adapt"),
+    *("position_bandwidth", "speed_bandwidth", "force_bandwidth", "bandwidth_limit"),
+    *("coupling_frequency", "speed_tolerance", "force_tolerance", "robust_limit"),
+    *("pressure_bandwidth", "low_pressure", "pressure_rate"),
+    *("observer_bandwidth", "speed_correction", "speed_nudge", "stroke_resolution"),
+    *("load_corner", "standby", "flow_reserve", "valve_lead", "drop_floor", "drop_corner"),
+    *("weighing_time", "reference_mass"),
+    *("adapt_oil", "adapt_maps", "map_bandwidth", "map_error", "deadband_error"),
 )
 MAY_BE_ZERO = {
-    "adapt",
-    "bandwidth_limit",
-    "coupling_frequency",
-    "robust_limit",
-    "low_pressure",
-    "observer_bandwidth",
-    "speed_nudge",
-    "stroke_resolution",
-    "standby",
-    "flow_reserve",
-    "valve_lead",
-    "drop_corner",
-    "weighing_time",
-    "adapt_oil",
-    "adapt_maps",
-    "map_error",
-    "deadband_error",
+    *("adapt", "bandwidth_limit", "coupling_frequency", "robust_limit", "low_pressure"),
+    *("observer_bandwidth", "speed_nudge", "stroke_resolution", "standby", "flow_reserve"),
+    *("valve_lead", "drop_corner", "weighing_time"),
+    *("adapt_oil", "adapt_maps", "map_error", "deadband_error"),
 }
 SWITCHES = ("adapt", "adapt_oil", "adapt_maps")  # yes or no
 COUNT = len(ESTIMATES)
@@ -194,8 +159,7 @@ def pack_arc(
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
-            model.
-    """
+            model."""
     _check(given, point.tick)
     places = _places(point.axis)
     bounds, total = _Bounds.of(point, given, places[0]), _total(point, given, places)
@@ -402,8 +366,7 @@ def check_modelled(unmodelled: Sequence[str], **where: Any) -> None:
     the law.
 
     Raises:
-        InputError: names the part.
-    """
+        InputError: names the part."""
     if unmodelled:
         raise InputError(message("control.arc_lacks_part", part=unmodelled[0]), **where)
 
@@ -414,8 +377,7 @@ def pack(
     """The gains on a site, and what is known of them: see `named_gains`.
 
     Raises:
-        InputError: the rig has a part that the law's model of the cylinder lacks.
-    """
+        InputError: the rig has a part that the law's model of the cylinder lacks."""
     check_modelled(point.unmodelled)
     packed, per_bandwidth = pack_arc(point, rules, gains)
     named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(point, packed)}

@@ -110,8 +110,7 @@ class Law:
             the end of the reference (`ehbench.control.trajectory.with_preview`); else 0.
         shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
         after: (what it ran with, of `Packed`, the controller after a run) → further ``measures``.
-        warns_saturated: whether a trial warns of saturated valves.
-    """
+        warns_saturated: whether a trial warns of saturated valves."""
 
     name: str
     record: np.dtype

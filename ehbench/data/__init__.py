@@ -40,8 +40,7 @@ def read(
     Raises:
         LogError: no log, nothing in it, or nothing that can be read; what the check refuses.
         UnitError: a channel without unit or with a wrong one; a value outside the plausible range.
-        InputError: an additional file that has nothing in common with the log.
-    """
+        InputError: an additional file that has nothing in common with the log."""
     path = Path(path)
     record = _read(path, columns, check, window)
     if not additional:
@@ -61,10 +60,7 @@ def read(
 
 
 def _read(
-    path: Path,
-    columns: ColumnMap | str | Path | None,
-    check: bool,
-    window: Window | None,
+    path: Path, columns: ColumnMap | str | Path | None, check: bool, window: Window | None
 ) -> Record:
     """One file, as `read` reads it."""
     from ehbench.config.recipe.columns import ColumnMap, load_columns
@@ -97,6 +93,5 @@ def read_log(
         frame = ehbench.read_log("datasets/slide_servo/steps/press_no_load.mcap")
         frame.attrs["units"]["press.p_head"], frame["press.p_head"].max()
 
-    Arguments and errors as in `read`.
-    """
+    Arguments and errors as in `read`."""
     return read(path, columns, check=check).frame(copy=False)

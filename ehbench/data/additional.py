@@ -18,8 +18,7 @@ _HALF_HOUR = 1800.0
 class AdditionalFile:
     """A file that another recorder wrote of the same run: its map of columns, and by how much its
     samples were taken later [s] than its time says (None where its clock is to tell). Without a
-    ``shared_clock`` both times count from their own zero, whatever their clocks say.
-    """
+    ``shared_clock`` both times count from their own zero, whatever their clocks say."""
 
     path: Path
     columns: ColumnMap | None = None
@@ -31,8 +30,7 @@ def lateness(record: Record, path: Path, result: Record, other: AdditionalFile) 
     """By how much the time 0 of an additional file lies after that of the log [s].
 
     Raises:
-        InputError: nothing tells.
-    """
+        InputError: nothing tells."""
     shift = other.shift or 0.0
     if not other.shared_clock:
         return shift
@@ -60,8 +58,7 @@ def with_additional(
     fastest table of a file does.
 
     Raises:
-        InputError: a file has a channel that is there already, or no sample at the log's time.
-    """
+        InputError: a file has a channel that is there already, or no sample at the log's time."""
     groups = [Group(path.name, record.t, channels=dict(record.channels))]
     losses = list(record.losses)
     rates = [record.meta["rates"]] if "rates" in record.meta else []

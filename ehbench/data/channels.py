@@ -43,8 +43,7 @@ def read_mapped(
 
     Raises:
         LogError: no such column, no time, a bad sample inside of the window.
-        UnitError: a unit that does not become the channel's.
-    """
+        UnitError: a unit that does not become the channel's."""
     source = open_source(path, dialect_of(columns))
     if columns is None or not columns.columns.names:  # the file's own names
         names, given = named_channels(source, path), columns or ColumnMap(Columns())
@@ -104,8 +103,7 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
     """The map of a file whose columns are named as channels, with their units: ``boom.q [deg]``.
 
     Raises:
-        LogError: there is none; says how to make a map.
-    """
+        LogError: there is none; says how to make a map."""
     results = {}
     for name, (i, j) in source.names().items():
         label = LABEL.match(name)
@@ -131,8 +129,7 @@ def si_of(
 
     Raises:
         UnitError: no unit, or one that does not become the channel's.
-        LogError: a cell can be read in two ways.
-    """
+        LogError: a cell can be read in two ways."""
     if column.doubt is not None:
         row, doubt = column.doubt
         text = message("data.column_error", name=name, error=doubt, unit="")
@@ -169,8 +166,7 @@ class _Mapping:
 
     def groups(self) -> list[Group]:
         """The mapped channels in SI, those of one table and one rate together: by the rows in which
-        they stand, a group a rate.
-        """
+        they stand, a group a rate."""
         groups: dict[tuple[int, str], Group] = {}
         for name, mapped in self.columns.columns.names.items():
             if mapped.channel == "t":
@@ -200,8 +196,7 @@ class _Mapping:
 
     def _time_of(self, name: str) -> str:
         """The column of time of another column: of those in its table the nearest to its left,
-        else the first; else one of a table as long; '' of none.
-        """
+        else the first; else one of a table as long; '' of none."""
         tables, (index, place) = self.source.tables, self.places[name]
         times = [
             (item, *self.places[item])
@@ -228,8 +223,7 @@ class _Mapping:
 
     def _timed(self, index: int, time: str) -> Group:
         """A table with its time, and no channel yet: by the rate that the map says, a column of
-        time, or as the format knows it.
-        """
+        time, or as the format knows it."""
         table = self.source.tables[index]
         began, t = table.began, table.t
         if time:
@@ -285,8 +279,7 @@ def _filter(group: Group, columns: ColumnMap) -> None:
 def _in_time(group: Group, columns: ColumnMap) -> Group:
     """The group with the channels that were written late, or early, put to where they belong, on
     straight lines between their samples: a command too, which may be late by part of a sample time.
-    The rows at an end for which they have no values are left out.
-    """
+    The rows at an end for which they have no values are left out."""
     late = {
         item.channel: float(item.late)
         for item in columns.columns.names.values()
@@ -312,8 +305,7 @@ def clean(
     few in a row are bridged, of more the rows are gone.
 
     Raises:
-        LogError, UnitError: a bad sample that the map does not allow; no row has a time.
-    """
+        LogError, UnitError: a bad sample that the map does not allow; no row has a time."""
     count = np.arange(group.t.size)
     timed = np.isfinite(group.t)
     if not timed.any():

@@ -97,8 +97,7 @@ class FlowmeterData:
         """The readings of one valve in one direction.
 
         Raises:
-            InputError: there are none; names the valves and directions there are.
-        """
+            InputError: there are none; names the valves and directions there are."""
         rows = (self.valve == valve) & (self.direction == direction)
         if not rows.any():
             fields = {"there": ", ".join(" ".join(group) for group in self.groups())}
@@ -116,8 +115,7 @@ _ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.type == "np.ndarray")
 
 class LeftOut:
     """Readings that cannot be right: the first stops the reading, or those of files whose name is
-    ``allowed`` are left out and reported, as long as they are few.
-    """
+    ``allowed`` are left out and reported, as long as they are few."""
 
     def __init__(self, allowed: Collection[str]) -> None:
         self.allowed = allowed
@@ -127,8 +125,7 @@ class LeftOut:
         """Note what is wrong with a reading of a valve.
 
         Raises:
-            InputError: where nothing of its file may be left out.
-        """
+            InputError: where nothing of its file may be left out."""
         if Path(str(error.file)).name not in self.allowed:
             cure = message("data.leave_readings_out")
             hint = cure if error.hint is None else f"{error.hint}; {cure}"
@@ -146,8 +143,7 @@ class LeftOut:
         of each reading that is not.
 
         Raises:
-            InputError: they are too many of a valve's readings to be slips.
-        """
+            InputError: they are too many of a valve's readings to be slips."""
         stay, gone = Counter(retained), Counter(valve for valve, _ in self.errors)
         files: dict[str, list[InputError]] = {}
         for valve, error in self.errors:
@@ -171,8 +167,7 @@ class LeftOut:
 @dataclass(frozen=True, eq=False)
 class _Sheet:
     """Columns of readings: ``numbers`` in SI with the text of what is none, by row (``odd``), the
-    ``units`` that they were written in, ``words``, the line of each row, and ``notes`` on all.
-    """
+    ``units`` that they were written in, ``words``, the line of each row, and ``notes`` on all."""
 
     path: Path
     lines: Sequence[int]
@@ -209,8 +204,7 @@ def read_flowmeter(
             of a valve's rows are refused nevertheless.
 
     Raises:
-        InputError, UnitError: with file, line and what would be right.
-    """
+        InputError, UnitError: with file, line and what would be right."""
     path = Path(path)
     named = columns is not None and bool(columns.columns.names)
     sheets = _mapped(path, columns) if columns and named else [_named(path)]
@@ -311,8 +305,7 @@ def _check_columns(names: Collection[str], where: Mapping[str, Any], lacks: str)
 
 def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
     """The readings of each table of a foreign file that has all columns of a map, of the first
-    where there are less than two. Where no column names the valve, the table or the file does.
-    """
+    where there are less than two. Where no column names the valve, the table or the file does."""
     source = open_source(path, dialect_of(columns))
     tables = alike(source, list(columns.columns.names))
     if len(tables) < 2:
@@ -323,8 +316,7 @@ def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
 
 def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> list[_Sheet]:
     """The readings of the first table of a source by each of its columns of flow, those of a valve
-    where neither a column nor a channel names it.
-    """
+    where neither a column nor a channel names it."""
     table, numbers, odd, words, notes = source.tables[0], {}, {}, {}, []
     lines = table.lines or range(2, table.size + 2)
     flows: list[tuple[MappedColumn, np.ndarray, Mapping[int, str]]] = []
@@ -386,8 +378,7 @@ def _read_alone(sheet: _Sheet) -> _Sheet:
 
 def alike(source: Source, names: Sequence[str] | None = None) -> list[SourceTable]:
     """The tables of a workbook that have all columns of some names; without names those of the
-    first. A sheet for each valve, with the same columns, is one workbook of readings.
-    """
+    first. A sheet for each valve, with the same columns, is one workbook of readings."""
     has = [{*(column.name for column in item.columns), *item.words} for item in source.tables]
     required = set(names) if names is not None else has[0] if has else set()
     return [table for table, there in zip(source.tables, has, strict=True) if required <= there]
@@ -397,8 +388,7 @@ def _row(sheet: _Sheet, index: int) -> dict[str, Any]:
     """One reading in SI, its drop signed along the direction as the file has it.
 
     Raises:
-        InputError: a cell that is blank, no number or no word that is known.
-    """
+        InputError: a cell that is blank, no number or no word that is known."""
     where: dict[str, Any] = {"file": sheet.path, "line": sheet.lines[index]}
     words = {name: cells[index] for name, cells in sheet.words.items()}
     row: dict[str, Any] = {
@@ -442,8 +432,7 @@ def _within_supply(
     rows: Sequence[dict[str, Any]], supply: float, units: Mapping[str, str], left_out: LeftOut
 ) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """(the rows but for drops far above the supply pressure [Pa]; a warning where all are far
-    below it).
-    """
+    below it)."""
     unit, row_of = _drop_unit(units), VOCABULARY["pressure_drop"]
     retained = []
     for row in rows:
@@ -465,8 +454,7 @@ def _within_supply(
 def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]]:
     """The rows but for those whose flow runs against its drop, or the drop against the direction;
     those with both negative and no direction are turned into reverse ones. Where rows may be left
-    out, too few turned ones for a map are slips.
-    """
+    out, too few turned ones for a map are slips."""
     zeros: dict[str, tuple[float, float]] = {}
     for row in rows:
         flow, drop = zeros.get(row["valve"], (0.0, 0.0))

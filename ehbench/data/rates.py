@@ -110,8 +110,7 @@ class Group:
 
     def wrong_rate(self) -> list[str]:
         """A note where its rows, which a rate counts, last another time than their stamps do, by
-        more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
-        """
+        more than these are rounded and a hundredth: rows are missing, or the rate is wrong."""
         stamps = self.stamped if self.t.size >= TIMESTAMP.fewest else None
         if stamps is None or not np.isfinite(stamps).all():
             return []
@@ -170,8 +169,7 @@ def apart(columns: Sequence[SourceColumn]) -> list[tuple[list[int], np.ndarray]]
     same rows. A signal has rows of its own where it stands in every second row of another or more
     seldom, or where the two take turns; one that is missing here and there has not, nor one that
     is missing for a while. Loggers of a bus write a row for each message, blank in all other
-    columns.
-    """
+    columns."""
     groups: list[tuple[list[int], np.ndarray]] = []
     for index, column in enumerate(columns):
         filled = column.filled
@@ -204,8 +202,7 @@ def joined(
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """(time [s], all channels, a note on each other rate) on the time base of the fastest table;
     readings of the others lie on straight lines between their samples, commands are held. Rows that
-    not all tables have values for are left out, and ``losses`` says so.
-    """
+    not all tables have values for are left out, and ``losses`` says so."""
     rates = []
     base = min(groups, key=lambda group: group.period)
     t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)

@@ -37,8 +37,7 @@ def lost(notes: Iterable[str]) -> list[str]:
 
 def recovered(log: str, notes: Iterable[str]) -> list[Message]:
     """What was interpolated of a log as one message, none where nothing was: the largest share of
-    samples of a channel, and the longest gap; before it each unit that a map overrules.
-    """
+    samples of a channel, and the longest gap; before it each unit that a map overrules."""
     known = [note for note in notes if isinstance(note, Message) and note.key in _RECOVERED]
     units, few = [note for note in known if note.key == OVERRULED], [note.fields for note in known]
     shares = [fields["share"] for fields in few if fields.get("share")]
@@ -84,8 +83,7 @@ class Record:
         """The SI array of a channel.
 
         Raises:
-            LogError: no such channel; names those there are.
-        """
+            LogError: no such channel; names those there are."""
         if name == "t":
             return self.t
         if name not in self.channels:
@@ -119,8 +117,7 @@ class Record:
         there is not.
 
         Raises:
-            LogError: no such channel, where there is no value for it.
-        """
+            LogError: no such channel, where there is no value for it."""
         built = np.empty((self.t.size, len(columns)))
         for i, (name, value) in enumerate(columns):
             built[:, i] = self[name] if value is None or name in self else value
@@ -152,8 +149,7 @@ class Record:
 
     def frame(self, copy: bool = True) -> pd.DataFrame:
         """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``,
-        ``meta``, ``losses``. Without ``copy`` its columns are the record's own arrays.
-        """
+        ``meta``, ``losses``. Without ``copy`` its columns are the record's own arrays."""
         import pandas as pd
 
         frame = pd.DataFrame({"t": self.t, **self.channels}, copy=copy)
@@ -167,8 +163,7 @@ def floats(values: np.ndarray) -> np.ndarray:
     """Numbers as floats.
 
     Raises:
-        LogError: an integer that no float is: beyond 2^53 not all are.
-    """
+        LogError: an integer that no float is: beyond 2^53 not all are."""
     result = values.astype(float)
     if values.dtype.kind in "iu":
         for row in np.flatnonzero(np.abs(result) >= 2.0**53):
@@ -181,8 +176,7 @@ def resampled(
     channels: Mapping[str, np.ndarray], t: np.ndarray, at: np.ndarray, slack: float = 0.0
 ) -> dict[str, np.ndarray]:
     """Channels sampled at ``t`` [s] as they are at other times: readings on straight lines between
-    their samples, commands as the last one, which may come ``slack`` [s] late.
-    """
+    their samples, commands as the last one, which may come ``slack`` [s] late."""
     last = (np.searchsorted(t, at + slack, side="right") - 1).clip(0)
     return {
         name: y[last] if name.endswith(".command") else np.interp(at, t, y)
@@ -213,8 +207,7 @@ def payloads_of(record: Record) -> list[tuple[float, str | None]]:
     its first sample on.
 
     Raises:
-        LogError: the log's facts are damaged.
-    """
+        LogError: the log's facts are damaged."""
     steps = [(-math.inf, record.meta.get("payload", "none"))]
     try:
         changes = json.loads(record.meta.get("payload_change", "[]"))

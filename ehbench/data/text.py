@@ -88,8 +88,7 @@ def two_readings(
 ) -> dict[int, tuple[int, Message]]:
     """By column, (row, message) of its first number that another decimal sign makes a thousand
     times as large or small, where no other number of the file says which sign it is, or none of
-    the column that its digits are grouped.
-    """
+    the column that its digits are grouped."""
     text, other = "\n".join(rows), _OTHER[decimal]
     decided = separator == other or _decides(text, separator, decimal)
     marks = [other] if decided else [other, decimal]
@@ -115,8 +114,7 @@ def two_readings(
 
 def lines_of(text: str) -> list[str]:
     """The lines of a text, whatever ends them. A cell in quotes that goes on over several lines
-    stands in its first, and those after it are blank.
-    """
+    stands in its first, and those after it are blank."""
     lines = _LINE_END.split(text)
     lines = lines if lines[-1] else lines[:-1]
     for at, line in enumerate(lines if '"' in text else ()):
@@ -135,8 +133,7 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
     western one.
 
     Raises:
-        LogError: not there, too large, no text, or not in the ``encoding`` required.
-    """
+        LogError: not there, too large, no text, or not in the ``encoding`` required."""
     try:
         data = read_bytes(path, DATA, LogError)
     except FileNotFoundError:
@@ -192,8 +189,7 @@ def numbers(
 ) -> tuple[np.ndarray, list[dict[int, str]]]:
     """(numbers, shape (rows, columns), NaN where none stands; by column what stands there, by row)
     of some columns. A row with a number behind ``width`` cells, 0 for any number of them, has none:
-    one of its cells was taken for two.
-    """
+    one of its cells was taken for two."""
     values = np.full((len(rows), len(columns)), np.nan)
     odd: list[dict[int, str]] = [{} for _ in columns]
     # a point beside decimal commas groups digits, and no library reads these
@@ -270,8 +266,7 @@ class TextTable:
         """As `numbers`, of some columns by number.
 
         Raises:
-            LogError: a row has not as many cells as the header, or a number has two readings.
-        """
+            LogError: a row has not as many cells as the header, or a number has two readings."""
         width = len(self.header)
         for line, row in zip(self.lines, self.rows, strict=True):
             if row.count(self.separator) + 1 != width and len(split(row, self.separator)) != width:
@@ -294,8 +289,7 @@ class TextTable:
         none.
 
         Raises:
-            LogError: a row has not as many cells as the header, or a cell is no number.
-        """
+            LogError: a row has not as many cells as the header, or a cell is no number."""
         values, odd = self.numbers(columns)
         for index, cells in zip(columns, odd, strict=True):
             for row, cell in cells.items():
@@ -314,8 +308,7 @@ def text_table(path: Path, example: str) -> TextTable:
     """The table of a text file; ``example`` is a header as it may be, for the message.
 
     Raises:
-        LogError: not there, no text, or no header.
-    """
+        LogError: not there, no text, or no header."""
     text = text_of(path)[0]
     numbered = [
         (number, line)

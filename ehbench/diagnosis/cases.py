@@ -35,8 +35,7 @@ class Case:
     """A log and the model, with the log's payload, that is to follow it; ``cylinders`` are those
     that are commanded, ``scored`` the part [s] that counts, None for all of it, ``terms`` and
     ``bias`` what its sensors are known to make of it. Where not ``refined`` it starts from what its
-    standstill shows.
-    """
+    standstill shows."""
 
     name: str
     record: Record
@@ -50,8 +49,7 @@ class Case:
 
     def simulated(self) -> Record:
         """What the model does on the record from the estimated initial state, as its sensors show
-        it.
-        """
+        it."""
         true = self._start.record
         start, _ = self._start.begin(self.model, self._shifts)
         return sensed(self.model.replay(true, AUTO, start=start), self.terms, self.bias)
@@ -60,8 +58,7 @@ class Case:
         """(the model with a fault of size δ, the record as sound sensors would have it, the start).
 
         Raises:
-            EhbenchError, ValueError: there is no such rig.
-        """
+            EhbenchError, ValueError: there is no such rig."""
         rig = fault.rig(self.model.rig, delta)
         model = self.model if rig is self.model.rig else model_of(rig, self.maps)
         record = fault.record(self.record, delta)
@@ -83,8 +80,7 @@ class Case:
     @cached_property
     def _shifts(self) -> np.ndarray:
         """The initial state from which the model follows the log best: the mean of a standstill is
-        not the state of a chamber that leaks.
-        """
+        not the state of a chamber that leaks."""
         if not self.refined:
             return np.zeros(len(self._start.uncertain))
         return best_shifts(self.model, self._start, self._of_cylinders)
@@ -92,8 +88,7 @@ class Case:
     @cached_property
     def channels(self) -> tuple[str, ...]:
         """Rate and pressures of each cylinder and the pressure of the supply, as far as the log has
-        them moving and does not give them to the simulation.
-        """
+        them moving and does not give them to the simulation."""
         free = self.model.rig.model is None and not supplied(self.record)
         line = ("p_supply",) if free and self._moves("p_supply") else ()
         return (*self._of_cylinders, *line)
@@ -154,8 +149,7 @@ class Case:
     @cached_property
     def scales(self) -> dict[str, float]:
         """What an error of each channel is measured by: the noise of a block, and a share of the
-        channel's spread; of the supply's pressure the share of its level that is told.
-        """
+        channel's spread; of the supply's pressure the share of its level that is told."""
         results = {}
         for channel, values in self.recorded.items():
             slight = FINE * float(np.std(values))
@@ -174,8 +168,7 @@ class Case:
 
     def left(self, simulated: Record) -> np.ndarray:
         """Blocks of simulated minus recorded of all channels, one after the other, in their scales;
-        shape (blocks · channels,).
-        """
+        shape (blocks · channels,)."""
         parts = []
         for channel, recorded in self.recorded.items():
             values = column(simulated, channel, self.record)
@@ -202,8 +195,7 @@ def counts(gain: float, of: float, noise: float, independent: float) -> bool:
         gain: by how much the sum is less.
         of: the sum.
         noise: what noise alone makes of it.
-        independent: numbers that the residuals are worth.
-    """
+        independent: numbers that the residuals are worth."""
     if gain <= max(MATTERS * (of - noise), 2.0 * CERTAIN):
         return False
     return independent * math.log(of / max(of - gain, 1.0e-12 * of)) > CERTAIN

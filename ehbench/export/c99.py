@@ -162,8 +162,7 @@ class Translation:
     Args:
         text: of LLVM.
         entry: part of the entry's name in it.
-        name: of the entry in C.
-    """
+        name: of the entry in C."""
 
     def __init__(self, text: str, entry: str, name: str) -> None:
         self.text = _WORDS.sub("", _WORDS.sub("", text))

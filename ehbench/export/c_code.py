@@ -15,8 +15,7 @@ def write_c(export: Export, folder: Path) -> list[Written]:
     """Write the C of each part into ``c/<part>``.
 
     Raises:
-        ModelRejected: the check on this machine fails.
-    """
+        ModelRejected: the check on this machine fails."""
     written = []
     for part, kernel in zip(export.components, export.kernels, strict=True):
         place = folder / "c" / part.name
@@ -31,8 +30,7 @@ def checked(folder: Path, name: str) -> str:
     """What the check of a part says on this machine; nothing where there is no compiler.
 
     Raises:
-        ModelRejected: the check fails.
-    """
+        ModelRejected: the check fails."""
     command = compiler()
     if command is None:
         return ""

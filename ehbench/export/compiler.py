@@ -48,8 +48,7 @@ def build(command: Sequence[str], files: Sequence[Path], out: Path, *more: str) 
     """Compile files into a program or library.
 
     Raises:
-        EhbenchError: the compiler refuses; with its first words.
-    """
+        EhbenchError: the compiler refuses; with its first words."""
     given = [*command, *FLAGS, *more, *map(str, files), "-o", str(out), "-lm"]
     done = subprocess.run(given, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:

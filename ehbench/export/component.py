@@ -43,8 +43,7 @@ class Variable(NamedTuple):
         start: its value before the first step [unit].
         unit: SI.
         lower, upper: its range [unit]; a parameter takes no value beyond.
-        about: meaning, and of a parameter its source and interval.
-    """
+        about: meaning, and of a parameter its source and interval."""
 
     name: str
     role: Literal["input", "output", "parameter"]
@@ -109,8 +108,7 @@ class Component:
         arguments: of the kernel by name, as they are before the first step.
         variables: inputs first, then outputs, then parameters.
         rate: steps a second [Hz].
-        rows: inputs and outputs of each step of a trial, shape (steps, inputs + outputs).
-    """
+        rows: inputs and outputs of each step of a trial, shape (steps, inputs + outputs)."""
 
     name: str
     about: str

@@ -43,8 +43,7 @@ class Export:
         maps: its measured flow maps.
         origin: file or run folder that the rig is from.
         trial: that the exported parts are of, and are checked by.
-        fitted: what identification says of some parameters, rows of ``parameters.json`` by name.
-    """
+        fitted: what identification says of some parameters, rows of ``parameters.json`` by name."""
 
     recipe: ExportRecipe
     rig: Rig

@@ -1,6 +1,5 @@
 """C text of kernels: compiled anew for a plain processor in a process of its own, so that the text
-is the same on every machine, translated, and cached beside the kernels' machine code.
-"""
+is the same on every machine, translated, and cached beside the kernels' machine code."""
 
 import hashlib
 import json
@@ -40,8 +39,7 @@ def kernels_of(components: Sequence[Component]) -> list[Kernels]:
     """The C text of each component's kernel, from the cache where it is there.
 
     Raises:
-        EhbenchError: a kernel has a part that no rule writes as C.
-    """
+        EhbenchError: a kernel has a part that no rule writes as C."""
     digest = hashlib.sha256()
     for module in (c99, sys.modules[__name__]):
         digest.update(Path(str(module.__file__)).read_bytes())

@@ -56,8 +56,7 @@ def state_spaces(rig: Rig, maps: Maps | None, points: AnyTuning | None = None) -
 
     Raises:
         InputError: as `prepare_tuning`.
-        InsufficientData: no cylinder can move.
-    """
+        InsufficientData: no cylinder can move."""
     recipes = (
         [points]
         if points is not None

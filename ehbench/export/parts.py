@@ -39,8 +39,7 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
     Args:
         trial: on the model, with steps of one length.
         session: of it, run to its end.
-        about: where a parameter is from, by its name.
-    """
+        about: where a parameter is from, by its name."""
     recipe, rate = trial.recipe, trial.machine.rate
     model = Model.of(trial.rig, trial.maps, recipe.payload)
     plant, channels = model.plant, sample_channels(model.layout.cylinders)
@@ -160,8 +159,7 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
         trial: in which it runs.
         session: of it, run to its end.
         law: with the references that it runs over.
-        design: of its cylinder.
-    """
+        design: of its cylinder."""
     law, channels = law.afresh(), trial.machine.channels
     columns = len(law.channels)
     observed = np.flatnonzero(law.controller.observed)

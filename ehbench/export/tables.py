@@ -62,8 +62,7 @@ def matlab_files(rig: Rig, fitted: Fitted, linear: Sequence[StateSpace]) -> dict
     Args:
         rig: of which the numbers are.
         fitted: what identification says of some.
-        linear: state spaces.
-    """
+        linear: state spaces."""
     name = _matlab_name(rig.name)
     facts = dict(_places(_facts(rig, fitted)))
     lines = [

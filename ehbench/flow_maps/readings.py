@@ -72,8 +72,7 @@ class FlowMapOptions:
         command_std: [V] likewise of every command: half a hysteresis that readings on the way up
             do not show.
         nominal_drop: [Pa] the largest drop of a map that is measured without pressures.
-        show: units of the messages.
-    """
+        show: units of the messages."""
 
     meter_limit: float = 0.0
     calibration: Sequence[tuple[float, float, float]] = ()
@@ -191,8 +190,7 @@ class Readings:
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray]:
         """(openings [V], the first that each reading does not exceed): the commands, of which a
-        shift leaves those out that no reading is at.
-        """
+        shift leaves those out that no reading is at."""
         if not self.shift:
             return self.commands, self.level
         ends = np.append(self.commands[:-1], max(self.commands[-1], self.u.max()))
@@ -244,8 +242,7 @@ def readings_table(
             ``flowmeter`` by default, ``trial``, ``temperature``, ``file``, ``line``.
 
     Raises:
-        ValueError: arrays that are not one-dimensional or not of one length.
-    """
+        ValueError: arrays that are not one-dimensional or not of one length."""
     u, drop, q = (np.asarray(a, float) for a in (command, pressure_drop, flow))
     if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
         raise ValueError(message("flow_maps.shapes"))
@@ -269,8 +266,7 @@ def sort_readings(
     Raises:
         ValueError: a number that is not finite, a negative opening.
         InsufficientData: no drop above zero, fewer than 4 commands or 4 drops, no flow at any
-            command, or one that does not depend on the command or falls with it.
-    """
+            command, or one that does not depend on the command or falls with it."""
     u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
     one_drop = drop.size > 0 and bool(np.isnan(drop).all())
     if one_drop:

@@ -180,8 +180,7 @@ def fit_flow_map(
 
     Raises:
         InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, fewer than 4
-            drops, a flow that does not depend on the command, or readings that no map fits.
-    """
+            drops, a flow that does not depend on the command, or readings that no map fits."""
     result = fit_readings(message("flow_maps.who", valve=valve, way=direction), readings, options)
     r, solution, deadband = result.readings, result.solution, result.deadband
     rated, residual, lag = r.rated, result.residuals, result.hysteresis
@@ -357,8 +356,7 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
 
 def _uncertain(result: Fit) -> Iterator[tuple[tuple[Spline, float], tuple[Spline, float]]]:
     """For the deadband, its shift and each kink, the spline with it at either end of its interval,
-    and the shift [V] more; for a soft start the one at the lower end, and the map's.
-    """
+    and the shift [V] more; for a soft start the one at the lower end, and the map's."""
     shape, deadband = result.shape, result.deadband
     if half := Z95 * deadband.std:
         low = max(deadband.value - half, 0.0)
@@ -467,11 +465,7 @@ def _fall(built: FlowMap) -> float:
 
 
 def check_calibration(
-    result: FlowMap,
-    command: float,
-    target: float,
-    tolerance: float,
-    reference: float | None,
+    result: FlowMap, command: float, target: float, tolerance: float, reference: float | None
 ) -> Calibration:
     """A calibration point against the map, at the reference drop [Pa] or over the upper half."""
     low, high = (

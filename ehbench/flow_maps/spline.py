@@ -122,8 +122,7 @@ class Spline:
         along_s: along the root of the drop.
         soft: free to curve over the first spans.
         kinks: [V] openings where it may bend sharply.
-        rising: [V] its flow grows with the opening up to the break next to it, and falls above.
-    """
+        rising: [V] its flow grows with the opening up to the break next to it, and falls above."""
 
     def __init__(
         self,
@@ -215,8 +214,7 @@ class Spline:
             band: of the normal matrix, as `normal` gives it.
 
         Raises:
-            LinAlgError: the penalised normal matrix is not positive definite.
-        """
+            LinAlgError: the penalised normal matrix is not positive definite."""
         from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
 
         whole = self.penalised(band, smoothing)
@@ -249,8 +247,7 @@ class Spline:
         the flow falls; determinant as ``free``; which increments are just those).
 
         Args:
-            near: a first guess of these; by default those that are wrong without the constraint.
-        """
+            near: a first guess of these; by default those that are wrong without the constraint."""
 
         def grown(above: np.ndarray) -> np.ndarray:
             return self.sign * self.increments(above).T.ravel()
@@ -387,8 +384,7 @@ def pivoted(
         solve: the least with the steps that are marked at zero.
         steps: of a point.
         slope: derivatives by the steps at a point.
-        zero: a first guess of the steps that are zero.
-    """
+        zero: a first guess of the steps that are zero."""
     tolerance = 1e-12 * np.abs(slope(np.zeros(zero.size))).max()
     for _ in range(50):
         point = solve(zero)

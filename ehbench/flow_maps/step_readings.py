@@ -64,8 +64,7 @@ def step_readings(
 
     Raises:
         InputError: as `preprocessing.preprocess`.
-        InsufficientData: no reading; says what is needed.
-    """
+        InsufficientData: no reading; says what is needed."""
     record, notes = preprocess(name, record, model)
     rows: list[tuple[str, str, float, float, float, int, int]] = []
     for index, cylinder in enumerate(model.layout.cylinders):

@@ -194,8 +194,7 @@ def prepare_signals(
     Raises:
         LogError: a channel is not there, or a log is not evenly sampled.
         InputError: logs of different rates.
-        InsufficientData: the logs are too short, or the input does not move.
-    """
+        InsufficientData: the logs are too short, or the input does not move."""
     warnings, pairs, rates = [], [], []
     for name, record in logs:
         x, y = (record[channel] for channel in names)
@@ -219,8 +218,7 @@ def signals_of(
     """Pairs of input and output, sampled at one rate [Hz], and how they are cut into segments.
 
     Raises:
-        InsufficientData: they are too short.
-    """
+        InsufficientData: they are too short."""
     shared = OVERLAP[choice.window]
     shortest = min(x.size for x, _ in pairs)
     usual = shortest / (1.0 + (SETTINGS.usual_averages - 1) * (1.0 - shared)) / rate
@@ -251,8 +249,7 @@ def estimate(signals: Signals) -> Response:
     """The frequency response of the logs.
 
     Raises:
-        InsufficientData: no frequency is coherent enough to count.
-    """
+        InsufficientData: no frequency is coherent enough to count."""
     frequency, gxx, gyy, gxy = _spectra(signals)
     powered = gxx > SETTINGS.no_power * gxx.max()
     product = np.where(powered & (gyy > 0.0), gxx * gyy, np.inf)
@@ -396,8 +393,7 @@ def _falls_below(
     Args:
         frequency: the coherent ones [Hz].
         curves: the curve, its low end, its high end.
-        levels: one for each curve.
-    """
+        levels: one for each curve."""
     ends: list[float | None] = []
     for curve, level in zip(curves, levels, strict=True):
         i = next(iter(np.flatnonzero(curve < level).tolist()), 0)

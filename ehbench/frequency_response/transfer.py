@@ -77,8 +77,7 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
 
     Args:
         pairs: input and output of each log.
-        rate: samples per second.
-    """
+        rate: samples per second."""
     results = [item for form in FORMS if (item := _fit_form(form, pairs, rate)) is not None]
     if not results:
         return ()

@@ -42,8 +42,7 @@ SETTINGS = ComparisonSettings()
 @dataclass(frozen=True)
 class Comparison:
     """What a fit should compare: its ``channels``, whether its position is ``tied``, the ``lines``
-    of the recipe that say so, and the ``steps``, none where the recipe has it so.
-    """
+    of the recipe that say so, and the ``steps``, none where the recipe has it so."""
 
     channels: tuple[str, ...]
     tied: bool = False

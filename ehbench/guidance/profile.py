@@ -25,8 +25,7 @@ class Profile:
     """``rise`` of −2 log likelihood at ``values`` [SI] of a parameter, all others and the logs'
     starts fitted again, scaled so that its curvature at the best value is that of the fit's
     interval (residuals are coloured); ``followed`` are the others' values [SI] by name. ``ends``
-    [SI] are where it crosses the 95 % level (None: not within what was tried), ``shape`` a word.
-    """
+    [SI] are where it crosses the 95 % level (None: not within what was tried), ``shape`` a word."""
 
     name: str
     unit: str
@@ -46,8 +45,7 @@ def profile(
 
     Raises:
         InputError: the parameter is not among those of the fit, or the method is not output error.
-        InsufficientData: as the fit.
-    """
+        InsufficientData: as the fit."""
     names = [c.name for c in prepared.search]
     if name not in names:
         raise InputError(message("guidance.not_among", name=name, names=", ".join(names)))
@@ -80,8 +78,7 @@ def _half(c: Coordinate, fitted: FittedParameter) -> float | None:
 
 def profile_values(c: Coordinate, fitted: FittedParameter) -> np.ndarray:
     """Values to fix a parameter at, in search coordinates, inside its bounds, its best among them:
-    six on either side, out to twice its interval, or to 1 where it has none.
-    """
+    six on either side, out to twice its interval, or to 1 where it has none."""
     best, half = c.of(fitted.value), _half(c, fitted)
     reach = 1.0 if half is None else 2.0 * half
     every = best + reach * np.arange(-6, 7) / 6

@@ -62,8 +62,7 @@ class Setup:
         """This with one change more.
 
         Raises:
-            ValueError: there is no such rig.
-        """
+            ValueError: there is no such rig."""
         upper = {**self.options.upper, **change.upper}
         sensors = merged(self.options.sensors, change.sensors)
         return Setup(
@@ -126,8 +125,7 @@ class Suggestions:
 
         Args:
             recipe: that the suggestions are for.
-            written: the recipe that has the first suggestion, if it was written.
-        """
+            written: the recipe that has the first suggestion, if it was written."""
         rows = []
         for row in self.rows:
             error = f" ± {100.0 * row.std:.2g}" if row.std else ""
@@ -176,8 +174,7 @@ def suggest(
 
     Raises:
         InsufficientData: the logs tell nothing about any parameter of the fit itself.
-        InputError: the fit compares frequency responses.
-    """
+        InputError: the fit compares frequency responses."""
     if prepared.options.response is not None:
         raise InputError(message("guidance.no_windows"))
     begun, compared = time.process_time(), comparison_of(prepared)
@@ -275,8 +272,7 @@ class _Trials:
     ) -> list[Tried]:
         """Changes on top of a fit, one by one, to the first that promises too little beside the
         best: more than its misfit to the power of ``hope``. Those that there is no time for are
-        added to ``untried``.
-        """
+        added to ``untried``."""
         reached: list[Tried] = []
         best = 1.0 - self.worth
         for promise, change in promised:
@@ -300,8 +296,7 @@ class _Trials:
     ) -> tuple[list[tuple[float, Hypothesis]], list[str]]:
         """(by how much changes on top of a fit should lessen what it leaves, were all linear: mean
         square with the change relative to that without, the least first; the names of those that
-        there was no time to look at).
-        """
+        there was no time to look at)."""
         results: list[tuple[float, Hypothesis]] = []
         untried: list[str] = []
         _, base = self._prepared(now.setup, 0)
@@ -366,8 +361,7 @@ class _Trials:
         """A change on top of a fit; None where there is no such rig, or no such fit.
 
         A fold that gains much less than the other is begun again where that ended: it may have come
-        to another minimum.
-        """
+        to another minimum."""
         try:
             setup = now.setup.with_change(change)
             folds = []
@@ -445,8 +439,7 @@ class _Trials:
     def _difference(self, item: Tried, other: Tried) -> tuple[float, float]:
         """(by how much a fit leaves more than another, its standard error), as shares of what the
         other leaves: of each window, channels added up, each in units of what the other leaves of
-        it in the mean.
-        """
+        it in the mean."""
         level = self._levels(other)
         ours, theirs = (
             np.array([sum(y / level[c] for c, y in row.items()) for row in fit.left.values()])

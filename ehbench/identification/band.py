@@ -15,8 +15,7 @@ from ehbench.frequency_response.response import Averaging, Signals, signals_of, 
 class Band:
     """The response of a log's channels to one command: how it is averaged, the numbers of the
     ``frequency`` [Hz] that count of all, and the standard errors [SI] of each, shape (frequencies,
-    channels); infinite where a channel is not coherent.
-    """
+    channels); infinite where a channel is not coherent."""
 
     command: str
     choice: Averaging
@@ -26,8 +25,7 @@ class Band:
 
     def seen(self, record: Record, columns: np.ndarray) -> np.ndarray:
         """The responses of some columns, shape (samples, channels), in units of their errors: real
-        parts of all frequencies, then imaginary ones; shape (2 · frequencies, channels).
-        """
+        parts of all frequencies, then imaginary ones; shape (2 · frequencies, channels)."""
         parts = []
         for y, error in zip(columns.T, self.errors.T, strict=True):
             signals = band_signals(record, self.command, y, self.choice)
@@ -37,8 +35,7 @@ class Band:
 
     def lateness(self, simulated: np.ndarray, recorded: np.ndarray) -> tuple[float, float]:
         """(by how much a channel's recorded response is behind the simulated one [s], standard
-        error), by the slope of their phases' difference, weighted by what is known of each.
-        """
+        error), by the slope of their phases' difference, weighted by what is known of each."""
         built, seen = (y[: self.at.size] + 1j * y[self.at.size :] for y in (simulated, recorded))
         omega, size = 2.0 * np.pi * self.frequency, np.abs(seen)
         off = np.angle(built * np.conj(seen))

@@ -99,8 +99,7 @@ def nearest_basin(problem: Problem, state: State) -> State:
 def descend(problem: Problem, values: Mapping[str, float]) -> tuple[State, float]:
     """(the minimum next to some values, by name, each channel weighed by its residual; its
     `level`). Derivatives are carried to the end, which saves a quarter of all simulations: ends are
-    compared to a few percent.
-    """
+    compared to a few percent."""
     state = at_values(problem, values)
     state = _coarse(problem, state, state.theta, state.free).state
     state, _ = solve(problem, weighed(problem, evaluate(problem, state)), 1e-3, secant=True)
@@ -115,8 +114,7 @@ def foreseen(
 
     Args:
         known: another problem over the same logs, and its state, whose derivatives serve where
-            both simulate a log alike.
-    """
+            both simulate a log alike."""
     state = weighed(problem, evaluate(problem, at_values(problem, values)))
     if known is not None:
         _take_over(problem, state, *known)
@@ -201,8 +199,7 @@ def _points(
     problem: Problem, theta: np.ndarray, group: Sequence[int], damping: Sequence[int]
 ) -> tuple[list[np.ndarray], int]:
     """(points of a look along a group of parameters, from here and then from one end to the other,
-    how many dampings it takes at each).
-    """
+    how many dampings it takes at each)."""
     low, high = problem.bounds(range(len(problem.search))).T
     some = list(group)
     ends = (
@@ -250,8 +247,7 @@ def _chain(
     looks: Sequence[tuple[int, np.ndarray]],
 ) -> _End:
     """Where solutions over ever more of the parameters end, in their order: each begins where the
-    one before ended and where the look stood, so none ends worse than one over fewer.
-    """
+    one before ended and where the look stood, so none ends worse than one over fewer."""
     end = solved(begin, every[:1])
     for count in range(1, len(every) + 1):
         some = list(every[:count])
@@ -266,8 +262,7 @@ def _chain(
 
 def _coarse(problem: Problem, state: State, start: np.ndarray, free: Sequence[int]) -> _End:
     """Where a coarse solution over some of the free parameters ends; first every channel counts by
-    its spread, then, where much is left, by its residual.
-    """
+    its spread, then, where much is left, by its residual."""
     fresh = initial(problem)
     whole = replace(state, theta=start, shifts=fresh.shifts, scales=fresh.scales)
     here = weighed(problem, evaluate(problem, whole), scales=False)

@@ -1,6 +1,5 @@
 """Standard errors of a least-squares fit to logs whose residuals are coloured and whose starts are
-estimated with it.
-"""
+estimated with it."""
 
 import math
 from collections.abc import Sequence
@@ -37,8 +36,7 @@ class Eliminated:
     """A log's least squares with its nuisances taken out: by how much the best nuisances follow the
     parameters (``gain``, shape (nuisances, parameters)), their own best step ``move``, and what
     stays for the parameters: normal matrix and gradient; ``known`` is the normal matrix if the
-    nuisances were known, ``inner`` the nuisances' covariance if the parameters were.
-    """
+    nuisances were known, ``inner`` the nuisances' covariance if the parameters were."""
 
     gain: np.ndarray
     move: np.ndarray
@@ -49,8 +47,7 @@ class Eliminated:
 
     def std(self, covariance: np.ndarray) -> np.ndarray:
         """Standard errors of the nuisances [prior standard deviations], by the covariance of the
-        parameters.
-        """
+        parameters."""
         whole = self.inner + self.gain @ covariance @ self.gain.T
         return np.sqrt(np.diag(whole))
 
@@ -76,8 +73,7 @@ def eliminate(block: Block, weight: float) -> Eliminated:
 class Prior:
     """What is known of the parameters beside the data: inverse standard deviations in search
     coordinates (zero: nothing), by what the parameters are off their prior values, in the same
-    coordinates, and the weight of a prior beside a sample.
-    """
+    coordinates, and the weight of a prior beside a sample."""
 
     sharpness: np.ndarray
     off: np.ndarray
@@ -114,8 +110,7 @@ class Covariance:
 
     def error(self, k: int) -> tuple[float, float, str]:
         """(standard error, quantile of the 95 % interval, where it is from) of parameter k:
-        whichever gives the widest interval.
-        """
+        whichever gives the widest interval."""
         from scipy.special import stdtrit  # scipy.stats is half a second to import
 
         results = [
@@ -146,8 +141,7 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     (``jackknife``); directions that one log alone informs are left to the sandwich.
 
     Readings in counts Δ without noise are all off alike where they read alike: M is then
-    ``Σ gᵀg Δ²/12`` over the values of each channel, g the sum of J at one of them (``counts``).
-    """
+    ``Σ gᵀg Δ²/12`` over the values of each channel, g the sum of J at one of them (``counts``)."""
     solved = [eliminate(block, prior.weight) for block in blocks]
     data = np.sum([item.normal for item in solved], axis=0)
     total = data + prior.normal
@@ -189,8 +183,7 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
 
 def _inverse_root(normal: np.ndarray) -> np.ndarray:
     """R with ``R Rᵀ`` the inverse of a normal matrix, of whose directions none counts for nothing
-    at all.
-    """
+    at all."""
     diagonal = np.diag(normal)
     size = np.sqrt(np.maximum(diagonal, 1e-30 * np.max(diagonal, initial=1e-270)))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
@@ -200,8 +193,7 @@ def _inverse_root(normal: np.ndarray) -> np.ndarray:
 
 class Release(NamedTuple):
     """What the last parameter would do if it were free: its step, the step's standard error, what
-    the cost would fall by for it, and the steps of the others that follow it.
-    """
+    the cost would fall by for it, and the steps of the others that follow it."""
 
     move: float
     std: float
@@ -212,8 +204,7 @@ class Release(NamedTuple):
 def release_of(blocks: Sequence[Block], prior: Prior, minimum: float) -> Release:
     """What freeing the last of the parameters would do, all others following it, to first order;
     its standard error is by what would be left then, infinite where the cost would fall by less
-    than ``minimum``.
-    """
+    than ``minimum``."""
     solved = [eliminate(block, prior.weight) for block in blocks]
     normal = np.sum([item.normal for item in solved], axis=0) + prior.normal
     pull = np.sum([item.gradient for item in solved], axis=0) + prior.gradient
@@ -236,8 +227,7 @@ def release_of(blocks: Sequence[Block], prior: Prior, minimum: float) -> Release
 
 def gains_of(blocks: Sequence[Block], prior: Prior) -> np.ndarray:
     """By how much the cost would fall for each of the parameters that are behind those of the
-    prior, were it freed alone of them, to first order; shape (parameters behind,).
-    """
+    prior, were it freed alone of them, to first order; shape (parameters behind,)."""
     solved, count = [eliminate(block, prior.weight) for block in blocks], len(prior.sharpness)
     normal = np.sum([item.normal for item in solved], axis=0)
     pull = np.sum([item.gradient for item in solved], axis=0)
@@ -259,8 +249,7 @@ def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
 
 def _weighed(series: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """``Σ_lag w(lag) Σ_t s_t s_{t−lag}ᵀ`` over positive and negative lags of a series (samples,
-    columns), by Fourier transforms; ``weights`` from lag 0 on.
-    """
+    columns), by Fourier transforms; ``weights`` from lag 0 on."""
     n = len(series)
     size = 1 << (2 * n - 1).bit_length()
     kernel = np.zeros(size)
@@ -311,8 +300,7 @@ def _by_counts(free: Sequence[np.ndarray], blocks: Sequence[Block]) -> np.ndarra
 
 def _flat_top(series: Sequence[np.ndarray]) -> np.ndarray:
     """Autocovariances of series that share them, from lag 0 on, tapered: whole up to the last
-    significant lag, then down to nothing at twice it.
-    """
+    significant lag, then down to nothing at twice it."""
     maximum = max(1, min(len(item) for item in series) // 4)
     total, count = np.zeros(maximum + 1), 0
     for item in series:
@@ -336,8 +324,7 @@ def _jackknife(
 ) -> np.ndarray | None:
     """Covariance by leaving out one log at a time, where the gradients of three logs or more, which
     sum to nothing at the solution, are larger than their covariances explain; ``root`` is a square
-    root of the inverse of the normal matrix.
-    """
+    root of the inverse of the normal matrix."""
     from scipy.special import chdtri
 
     if len(solved) < 3:

@@ -55,8 +55,7 @@ SETTINGS = DescentSettings()
 @dataclass(frozen=True, eq=False)
 class _Descent:
     """A descent under way: where it stands, the state whose derivatives by the initial states it
-    uses, its damping, and the number of steps taken.
-    """
+    uses, its damping, and the number of steps taken."""
 
     state: State
     origin: State
@@ -72,8 +71,7 @@ def solve(
     Args:
         tolerance: of the cost, as a share, that a last step would gain.
         secant: derivatives are carried from point to point (`carried`), and simulated only where
-            they are not known.
-    """
+            they are not known."""
     journal, effort = problem.journal, problem.simulator.effort
     saved = journal.begin("descent", tolerance, *start_of(problem, state))
     descent, converged = _restored(problem, state, saved), False
@@ -126,8 +124,7 @@ def _stepped(
 
 def carried(there: State, before: State) -> State:
     """A state with the derivatives of the one before, turned along the step between them until they
-    explain what it has changed (Broyden 1965); parameters count by the size of their effect.
-    """
+    explain what it has changed (Broyden 1965); parameters count by the size of their effect."""
     here, point = before.here, there.here
     moves = {i: float(point.theta[i] - here.theta[i]) for i in before.free}
     sizes = {
@@ -188,8 +185,7 @@ def bounded_step(
     Args:
         normal: H, shape (n, n), positive semidefinite.
         gradient: g, shape (n,).
-        damping: λ.
-    """
+        damping: λ."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     matrix = normal / np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
     values, vectors = np.linalg.eigh(matrix)

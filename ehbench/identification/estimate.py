@@ -70,8 +70,7 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
     comes near a bound.
 
     Raises:
-        InsufficientData: the logs tell nothing about any parameter.
-    """
+        InsufficientData: the logs tell nothing about any parameter."""
     heads = tuple(log.head(SETTINGS.head) for log in problem.logs)
     whole = all(map(operator.is_, heads, problem.logs))
     problem.report("output error: looking over the range of the bulk modulus", 0.0)
@@ -118,8 +117,7 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
 
 def estimate_starts(problem: Problem, values: Sequence[float]) -> State:
     """The state at given values [SI] of the requested parameters; each log's initial state, its
-    sensors and the channels' scales are estimated there.
-    """
+    sensors and the channels' scales are estimated there."""
     state = initial(problem)
     theta = state.theta.copy()
     theta[: problem.requested] = [c.of(x) for c, x in zip(problem.search, values, strict=False)]
@@ -133,8 +131,7 @@ def estimate_starts(problem: Problem, values: Sequence[float]) -> State:
 
 def information(problem: Problem, state: State) -> tuple[list[Block], Prior]:
     """What each log says of the parameters and shared sensors at a state, and what is known of them
-    besides.
-    """
+    besides."""
     which = range(problem.fitted)
     state = evaluate(problem, state)
     return linearised(problem, state, which), prior_of(problem, state, which)
@@ -145,8 +142,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
     those of which they deny a part, drop those of which they say nothing.
 
     Raises:
-        InsufficientData: no parameter is left.
-    """
+        InsufficientData: no parameter is left."""
     dropped = []
     for i in which:
         state = replace(
@@ -197,8 +193,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
 
 def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[np.ndarray, float]:
     """(by how much the cost is higher with a parameter at some points than here, the others
-    following to first order; its largest effect, as `effects`, infinite where none is possible).
-    """
+    following to first order; its largest effect, as `effects`, infinite where none is possible)."""
     others = state.fixed(i)
     blocks = linearised(problem, others, others.free)
     rises, sizes = np.zeros(len(points)), []
@@ -222,8 +217,7 @@ def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[
 
 def _better(problem: Problem, state: State, i: int, rise: float, value: float) -> State | None:
     """Where a solution ends that begins with a parameter at a value at which the cost rises by
-    ``rise``; None unless that is surely a fall, and the solution ends better than here.
-    """
+    ``rise``; None unless that is surely a fall, and the solution ends better than here."""
     if rise >= -SETTINGS.sure * state.prior_weight:
         return None
     influence = state.influence.copy()
@@ -237,8 +231,7 @@ def _interval_ends(
 ) -> tuple[tuple[float, float], float, float]:
     """(between which values the logs do not deny a parameter, the bounds where they never do; the
     smallest rise met on the way there, and where). Between the last point at which it does nothing
-    and the first that is denied may lie the value that the logs favour.
-    """
+    and the first that is denied may lie the value that the logs favour."""
     here, limit = float(state.theta[i]), SETTINGS.denied * state.prior_weight
     ends, lowest = [], (0.0, here)
     for side in (-1, 1):

@@ -25,8 +25,7 @@ def counts_on(
     Args:
         rig: as it was fitted.
         fitted: names of the parameters with an interval.
-        replays: simulated logs by cylinder that moves in them.
-    """
+        replays: simulated logs by cylinder that moves in them."""
     results = []
     for name in (n for n in fitted if n.rpartition(".")[2] == WORD):
         owners = [

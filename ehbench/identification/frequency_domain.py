@@ -32,8 +32,7 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
 
     Raises:
         InputError: the log has no such command, or a chamber of its cylinder cavitates.
-        InsufficientData: no channel answers coherently, at four frequencies at least.
-    """
+        InsufficientData: no channel answers coherently, at four frequencies at least."""
     fields = {"log": log.name, "command": command, "channels": ", ".join(log.channels)}
     if command not in log.record:
         text = message("identification.no_command", **fields)

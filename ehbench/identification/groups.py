@@ -32,8 +32,7 @@ SETTINGS = GroupSettings()
 class Group:
     """A product of powers that the logs know though they do not know each of its parameters:
     ``text`` as people write it, ``powers`` by name, ``value`` [SI] and its 95 % ``interval``,
-    ``std`` of its logarithm and, by name, of each parameter's (``alone``).
-    """
+    ``std`` of its logarithm and, by name, of each parameter's (``alone``)."""
 
     text: str
     powers: dict[str, float]
@@ -53,8 +52,7 @@ def groups_of(
         names, values: of the parameters that are searched by their logarithm, values in SI.
         normal: ``Σ JᵀJ`` of the scaled residuals to the logarithms, all else eliminated, without
             priors, shape (names, names).
-        widening: of standard errors because residuals are coloured.
-    """
+        widening: of standard errors because residuals are coloured."""
     count = len(names)
     sizes, vectors = np.linalg.eigh(0.5 * (normal + normal.T))
     sizes = np.maximum(sizes, 1e-13 * sizes[-1])
@@ -92,8 +90,7 @@ def _smallest(power: np.ndarray, covariance: np.ndarray) -> float:
 
 def _leaders(covariance: np.ndarray) -> list[int]:
     """The parameters that would have to be known for all others to be: one at a time, that whose
-    knowledge would sharpen another one most.
-    """
+    knowledge would sharpen another one most."""
     left, result = covariance.copy(), []
     variances = np.diag(covariance)
     while True:
@@ -115,8 +112,7 @@ def _leaders(covariance: np.ndarray) -> list[int]:
 
 def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Exponents in halves where the product stays much better known than its factors, else to two
-    digits; whole ones where halves are left.
-    """
+    digits; whole ones where halves are left."""
     halves = np.round(SETTINGS.halves * power) / SETTINGS.halves
     plain = np.max(np.abs(halves)) <= SETTINGS.largest
     if plain and _std(halves, covariance) < SETTINGS.better * _smallest(halves, covariance):

@@ -29,7 +29,7 @@ from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import SETTINGS as MEANS
 from ehbench.identification.means import Decimate
 from ehbench.identification.problem import Problem, problem_of
-from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
+from ehbench.identification.results import HydraulicsFit
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
 from ehbench.parts.edge import edge_law
@@ -43,19 +43,6 @@ from ehbench.signals.series import correlation_time
 from ehbench.vocabulary import VOCABULARY, Z95, Progress, message
 from ehbench.vocabulary.errors import InputError, InsufficientData, placed
 from ehbench.vocabulary.quantities import meant
-
-__all__ = [
-    "FitOptions",
-    "FittedParameter",
-    "HydraulicsFit",
-    "LogFit",
-    "Match",
-    "PreparedFit",
-    "Variant",
-    "identify_hydraulics",
-    "prepare_fit",
-    "run_fit",
-]
 
 
 @dataclass(frozen=True)
@@ -80,8 +67,7 @@ class FitOptions:
         max_iterations: of the solver.
         step: of the integration [s], or ``"auto"``: chosen by the guard, the same ones for all that
             differences are taken of.
-        workers: threads; 0 for one per core. The result does not depend on it.
-    """
+        workers: threads; 0 for one per core. The result does not depend on it."""
 
     method: str = "output_error"
     start: Mapping[str, str | float] = field(default_factory=dict)
@@ -123,8 +109,7 @@ def identify_hydraulics(
         InputError: unknown parameter or payload, a bad start or bound, or one the method does not
             take; a log that `preprocessing.preprocess` refuses; a cutoff above half the rate of a
             log.
-        InsufficientData: no log tells anything about any parameter, or the fit follows none.
-    """
+        InsufficientData: no log tells anything about any parameter, or the fit follows none."""
     return run_fit(prepare_fit(rig, records, parameters, options, flow_maps, where), progress)
 
 
@@ -152,8 +137,7 @@ def prepare_fit(
 
     Raises:
         InputError: as in `identify_hydraulics`.
-        InsufficientData: a log in which nothing is commanded, or none in which a valve opens.
-    """
+        InsufficientData: a log in which nothing is commanded, or none in which a valve opens."""
     requested = options or FitOptions()
     decimate = _decimate(records, requested, where)
     _refuse_inert(rig, parameters, flow_maps, where)
@@ -190,8 +174,7 @@ def _decimate(
 
     Raises:
         InputError: a given number is none, or leaves a log too few, or the method needs them all;
-            an unknown method, logs that no name tells.
-    """
+            an unknown method, logs that no name tells."""
     if requested.method not in ("output_error", "thesis"):
         raise InputError(message("identification.unknown_method", name=requested.method))
     if not records or len({name for name, _ in records}) < len(records):
@@ -225,8 +208,7 @@ def _refuse_options(
     where: Where,
 ) -> None:
     """Refuse options that do not go together, what the thesis's way cannot fit or know, and
-    channels to compare that no log of any rig has.
-    """
+    channels to compare that no log of any rig has."""
     thesis, response = requested.method == "thesis", requested.response is not None
     if thesis:
         refuse_unmatched(search)
@@ -251,8 +233,7 @@ def _refuse_inert(
     rig: Rig, parameters: Sequence[str], flow_maps: Maps | None, where: Where
 ) -> None:
     """Refuse the law's numbers of an edge that goes by its measured map, and the factor of one that
-    does not; of an FMU what it does not take.
-    """
+    does not; of an FMU what it does not take."""
     known = rig.parameters() if rig.model is None else rig.model.settable
     for name in parameters:
         if rig.model is not None and name not in known:
@@ -278,8 +259,7 @@ def run_fit(
     far output error has come.
 
     Raises:
-        InsufficientData: no log tells anything about any parameter, or the fit follows none.
-    """
+        InsufficientData: no log tells anything about any parameter, or the fit follows none."""
     requested, search = prepared.options, prepared.search
     simulator, maximum = simulator_of(prepared, prepared.logs), requested.max_iterations
     if prepared.rig.model is not None:  # what fails where it begins fails everywhere
@@ -336,8 +316,7 @@ def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
     """The rig with each named valve dynamics in place of any of the others, by name.
 
     Raises:
-        InputError: a variant the rig does not have, or no valve on any of them.
-    """
+        InputError: a variant the rig does not have, or no valve on any of them."""
     for name in variants:
         if name not in rig.dynamics:
             fields = {"rig": rig.name, "name": name, "known": ", ".join(rig.dynamics) or "none"}

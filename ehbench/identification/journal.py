@@ -26,8 +26,7 @@ class Journal:
     Args:
         path: file to keep it in; None keeps nothing.
         about: facts at its head, among them the ``hash`` of the run's inputs.
-        known: steps of the search that was stopped.
-    """
+        known: steps of the search that was stopped."""
 
     def __init__(
         self,
@@ -46,8 +45,7 @@ class Journal:
         steps of the same search come after it.
 
         Args:
-            start: all that the step's result depends on: bytes, or what `repr` tells exactly.
-        """
+            start: all that the step's result depends on: bytes, or what `repr` tells exactly."""
         digest = hashlib.sha256()
         for part in start:
             digest.update(part if isinstance(part, bytes) else repr(part).encode())
@@ -91,8 +89,7 @@ def journal_of(final: Path, about: Mapping[str, Any], resume: bool) -> Iterator[
 
     Args:
         about: as of `Journal`; a journal is gone on with where they are the same.
-        resume: go on with the one that is there.
-    """
+        resume: go on with the one that is there."""
     path = place_of(final)
     journal = Journal(path, about, _steps(path, about) if resume else [])
     try:

@@ -1,6 +1,5 @@
 """The thesis's matching: bulk modulus from the frequency of ringing, dampings from its decay
-(thesis 2.3).
-"""
+(thesis 2.3)."""
 
 import math
 from collections.abc import Sequence
@@ -38,8 +37,7 @@ SETTINGS = MatchingSettings()
 @dataclass(frozen=True)
 class _Window:
     """A recorded transient: its log, samples, cylinder, joint, the columns of the log's channels,
-    and how it rings.
-    """
+    and how it rings."""
 
     log: int
     span: slice
@@ -53,8 +51,7 @@ def refuse_unmatched(search: Sequence[Coordinate]) -> None:
     """Refuse parameters that ringing does not tell.
 
     Raises:
-        InputError: names the first.
-    """
+        InputError: names the first."""
     for c in search:
         of_the_oil = c.row.mode_role == "frequency" and not c.owner
         if not of_the_oil and c.row.mode_role != "decay":
@@ -65,8 +62,7 @@ def find_windows(simulator: Simulator, progress: Progress) -> list[_Window]:
     """Every transient of a cylinder after a change of its own commands that rings.
 
     Raises:
-        InsufficientData: none does; says why the first do not.
-    """
+        InsufficientData: none does; says why the first do not."""
     results, reasons, rig = [], [], simulator.rig
     for k, log in enumerate(simulator.logs):
         valves = [(c, f"{c.name}.{v.name}.command", least_change(v)) for c, v in rig.valves()]
@@ -95,8 +91,7 @@ def find_windows(simulator: Simulator, progress: Progress) -> list[_Window]:
 
 def _ringing_of(log: Log, span: slice, cylinder: str) -> tuple[slice, tuple[int, ...], Ringing]:
     """(the first run of samples of a window that count, columns of the cylinder's channels, how
-    they ring).
-    """
+    they ring)."""
     columns = tuple(i for i, name in enumerate(log.channels) if name.startswith(cylinder + "."))
     counts = np.all(log.counts[span][:, columns], axis=1)
     first = int(np.argmax(counts))
@@ -122,8 +117,7 @@ class _Stand:
 
 class Matching:
     """The thesis's way (2.3): bulk modulus from the frequency of the ringing, then damping from its
-    decay, and again.
-    """
+    decay, and again."""
 
     def __init__(
         self, simulator: Simulator, search: list[Coordinate], progress: Progress, maximum: int
@@ -140,8 +134,7 @@ class Matching:
 
     def _rings(self, theta: np.ndarray, before: Sequence[Ringing] | None) -> list[Ringing]:
         """How the simulation rings in each window, seen as the recording was; the search starts
-        where it rang before.
-        """
+        where it rang before."""
         values = [c.at(x) for c, x in zip(self.search, theta, strict=True)]
         (row,) = self.simulator.simulate([values])
         result = []
@@ -159,8 +152,7 @@ class Matching:
 
     def _measure(self, i: int, rings: Sequence[Ringing]) -> np.ndarray:
         """What parameter i is matched on, by window: ln ω_n for the bulk modulus, ζ for a damping;
-        nan where there is none.
-        """
+        nan where there is none."""
         c = self.search[i]
         if c.row.mode_role == "frequency":
             return np.array([math.log(r.natural_frequency) if r.ok else math.nan for r in rings])
@@ -172,8 +164,7 @@ class Matching:
         """The fit.
 
         Raises:
-            InsufficientData: no transient that rings tells anything about any parameter.
-        """
+            InsufficientData: no transient that rings tells anything about any parameter."""
         stand, results, converged = None, {}, False
         while self.live and self.rounds < self.maximum:
             stand = self._stand(stand.rings if stand else None)
@@ -197,8 +188,7 @@ class Matching:
         """Some rounds of Newton's method on the medians of the windows, until no parameter moves
         any more.
 
-        A simulation that does not ring at all is damped less first.
-        """
+        A simulation that does not ring at all is damped less first."""
         low, high = np.array([c.bounds for c in self.search]).T
         result = _Stand(False, np.zeros((0, 0)), {}, [], [])
         slope = result.slope
@@ -243,8 +233,7 @@ class Matching:
         self, theta: np.ndarray, live: Sequence[int], rings: Sequence[Ringing]
     ) -> np.ndarray:
         """Median change over the windows of what each parameter is matched on (rows), per unit of
-        each parameter (columns).
-        """
+        each parameter (columns)."""
         slope = np.zeros((len(live), len(live)))
         for b, k in enumerate(live):
             inside = theta[k] + SETTINGS.nudge <= self.search[k].bounds[1]

@@ -49,8 +49,7 @@ def means_of(
     Args:
         record: evenly sampled.
         decimate: samples a mean, or ``"auto"``: by the fastest motion of the machine along it.
-        cutoff: of a low-pass [Hz] that has to be left room.
-    """
+        cutoff: of a low-pass [Hz] that has to be left room."""
     count, tick = record.t.size, record.sample_time
     if decimate != "auto":
         return BlockAverages.of(record, decimate) if decimate > 1 else None
@@ -65,8 +64,7 @@ def means_of(
 def fastest(model: Model, record: Record) -> float:
     """The highest frequency [Hz] that a machine answers with along a recording: of its valves, each
     by its slowest element, and of its oscillations, with valves shut, where its cylinders start
-    and at both ends of their ways.
-    """
+    and at both ends of their ways."""
     plant = model.plant
     rates = [0.0]
     for valve in plant.valves:

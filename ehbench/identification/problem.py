@@ -90,8 +90,7 @@ class Mesh:
 class Point:
     """A simulated point: search coordinates, shifts of the initial states, residuals [SI] by log,
     and the mesh they were simulated on. The columns of the Jacobians [SI] that are known already
-    are cached: by (parameter, log) and by (log, shift).
-    """
+    are cached: by (parameter, log) and by (log, shift)."""
 
     theta: np.ndarray
     shifts: Shifts
@@ -114,8 +113,7 @@ class Problem:
         cutoff: of the low-pass on the residuals [Hz].
         max_iterations: of one descent.
         report: progress.
-        journal: how far the search has come.
-    """
+        journal: how far the search has come."""
 
     simulator: Simulator
     search: tuple[Coordinate, ...]
@@ -184,8 +182,7 @@ class Problem:
 
     def residual(self, log: Log, simulated: np.ndarray | None) -> np.ndarray:
         """Simulated − recorded [SI], low-passed, zero where a sample does not count, shape
-        (samples, channels).
-        """
+        (samples, channels)."""
         spread = by_channel(self.spread, log)
         if simulated is None:
             return np.tile(SETTINGS.failed * spread, (len(log.recorded), 1)) * log.counts
@@ -204,8 +201,7 @@ def problem_of(
     journal: Journal | None = None,
 ) -> Problem:
     """The problem of fitting ``search``, and what the logs' sensors share, to the simulator's
-    logs.
-    """
+    logs."""
     sensors, logs = of_sensors(simulator.logs[0].start.terms), simulator.logs
     names = sorted({channel for log in logs for channel in log.channels})
     about = [log.recorded - np.mean(log.recorded, axis=0) for log in logs]
@@ -230,8 +226,7 @@ class State:
 
     ``free``, ``at_bound`` and ``ranges`` (by index, the part of its range that the logs do not
     deny) tell what each parameter does; ``influence[i, k]`` whether parameter i moves log k;
-    ``coarse`` whether this is the search for a basin; ``point`` is what was simulated last.
-    """
+    ``coarse`` whether this is the search for a basin; ``point`` is what was simulated last."""
 
     theta: np.ndarray
     shifts: Shifts
@@ -315,14 +310,10 @@ def by_channel(sizes: Mapping[str, float], log: Log) -> np.ndarray:
 
 
 def evaluate(
-    problem: Problem,
-    state: State,
-    theta: np.ndarray | None = None,
-    shifts: Shifts | None = None,
+    problem: Problem, state: State, theta: np.ndarray | None = None, shifts: Shifts | None = None
 ) -> State:
     """The state at a point, by default its own, with the residuals there. The integration takes the
-    steps of the last point if that is near.
-    """
+    steps of the last point if that is near."""
     theta = state.theta if theta is None else theta
     shifts = state.shifts if shifts is None else shifts
     last, slack = state.point, state.slack
@@ -354,8 +345,7 @@ def residuals_at(
     None where a log could not be simulated.
 
     Args:
-        chosen: logs by index, all by default.
-    """
+        chosen: logs by index, all by default."""
     values = [problem.values(x) for x in thetas]
     rows = problem.simulator.simulate(values, chosen, state.shifts, slack)
     logs = problem.simulator.chosen(chosen)
@@ -406,8 +396,7 @@ def jacobian(problem: Problem, state: State, which: Sequence[int]) -> list[np.nd
     """Derivatives of the scaled residuals by log, shape (samples, channels, parameters).
 
     By differences inside the bounds, on the same mesh; the other side is tried where there is no
-    such rig. Zero where a parameter does not move a log.
-    """
+    such rig. Zero where a parameter does not move a log."""
     here, logs, known = state.here, problem.logs, state.here.columns
     missing = [
         (i, k)
@@ -436,8 +425,7 @@ def jacobian(problem: Problem, state: State, which: Sequence[int]) -> list[np.nd
 
 def start_jacobian(problem: Problem, state: State) -> list[np.ndarray]:
     """Derivatives of the scaled residuals by each log's shifts, shape (samples, channels, shifts);
-    zero for logs that begin at a standstill while the search is coarse.
-    """
+    zero for logs that begin at a standstill while the search is coarse."""
     here, logs, known = state.here, problem.logs, state.here.start_columns
     missing = [
         (k, j, item.share)
@@ -484,8 +472,7 @@ def linearised(
     """What each log says of some parameters and of its own initial state, linear about a point.
 
     Args:
-        start_columns: `start_jacobian` of another point, by default of this one.
-    """
+        start_columns: `start_jacobian` of another point, by default of this one."""
     columns = jacobian(problem, state, which)
     starts = start_jacobian(problem, state) if start_columns is None else start_columns
     residuals = scaled(problem, state)
@@ -503,8 +490,7 @@ def weighed(problem: Problem, state: State, scales: bool = True) -> State:
     count for the same.
 
     Args:
-        scales: whether these change too.
-    """
+        scales: whether these change too."""
     if scales:
         residuals = state.here.residuals
         sizes = {
@@ -525,8 +511,7 @@ def effects(
     chosen: Sequence[int] | None = None,
 ) -> np.ndarray:
     """Largest rms change of a channel in a log when a parameter moves by its unit, as a share of
-    the channel's spread, by column of a Jacobian.
-    """
+    the channel's spread, by column of a Jacobian."""
     each = []
     for part, log in zip(columns, problem.simulator.chosen(chosen), strict=True):
         ratio = by_channel(state.scales, log) / by_channel(problem.spread, log)

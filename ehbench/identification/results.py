@@ -37,10 +37,7 @@ class ResultSettings:
     """Numbers of the notes on a fit."""
 
     little: float = setting(
-        0.1,
-        "",
-        "residual of a channel, of its spread, up to which nothing is said",
-        "fits of 90 %",
+        0.1, "", "residual of a channel, of its spread, up to which nothing is said", "fits of 90 %"
     )
     structure: float = setting(3.0, "", "residual over noise that is more than noise", "clear")
     fine: float = setting(0.005, "", "smallest noise of a channel, of its spread", "best sensors")
@@ -84,8 +81,7 @@ class FittedParameter:
 @dataclass(frozen=True)
 class Match:
     """One transient whose ringing was matched: natural frequency [rad/s] and damping ratio,
-    recorded and simulated.
-    """
+    recorded and simulated."""
 
     log: str
     cylinder: str
@@ -151,8 +147,7 @@ class SensorFit:
 @dataclass(frozen=True)
 class Moved:
     """An estimate ``name`` [SI] that would be ``there`` in place of ``here``, off by so many half
-    widths of its 95 % interval.
-    """
+    widths of its 95 % interval."""
 
     name: str
     here: float
@@ -187,8 +182,7 @@ class Lean:
 class Doubts:
     """What a fit took as known: ``warnings`` of the fixed gain that the logs deny most, the fixed
     numbers with which estimates would leave their intervals, the likeliest first (``leans``), and
-    what was not asked because the fit itself took few simulations (``unasked``).
-    """
+    what was not asked because the fit itself took few simulations (``unasked``)."""
 
     warnings: tuple[str, ...] = ()
     leans: tuple[Lean, ...] = ()
@@ -231,8 +225,7 @@ class HydraulicsFit:
         """The fitted parameter of that name.
 
         Raises:
-            KeyError: it was not fitted.
-        """
+            KeyError: it was not fitted."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
@@ -240,8 +233,7 @@ class HydraulicsFit:
 
     def as_json(self) -> dict[str, Any]:
         """Everything but the rig and the time series as plain values, for `rundir.write_json`; what
-        is unknown is None.
-        """
+        is unknown is None."""
         return asdict(replace(self, rig=None, recordings=())) | {
             "rig": self.rig.name,
             "recordings": [name for name, _ in self.recordings],
@@ -249,8 +241,7 @@ class HydraulicsFit:
 
     def series(self) -> dict[str, dict[str, np.ndarray]]:
         """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
-        [rad]``, in SI.
-        """
+        [rad]``, in SI."""
         return {
             log: {f"{name} [{quantity(name).unit}]": y for name, y in columns.items()}
             for log, columns in self.recordings
@@ -317,8 +308,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     """The result: the rig with its new values, and how each log fits at them.
 
     Raises:
-        InsufficientData: the fitted model follows no channel of any log better than its mean.
-    """
+        InsufficientData: the fitted model follows no channel of any log better than its mean."""
     warnings: list[str] = [text for log in simulator.logs for text in log.warnings]
     warnings += [*result.warnings, *_statuses(result.fitted, simulator, result.warnings)]
     logs, recordings = [], []
@@ -444,8 +434,7 @@ def _turned(log: Log, simulated: np.ndarray) -> list[str]:
 
 def _poor(logs: Sequence[LogFit]) -> list[str]:
     """A loud warning of the channels that are followed worse than by their mean; refuses a fit that
-    has nothing else.
-    """
+    has nothing else."""
     fits = {
         f"{log.name}: {channel}": value
         for log in logs
@@ -465,8 +454,7 @@ def _poor(logs: Sequence[LogFit]) -> list[str]:
 
 def _left_over(logs: Sequence[Log], fits: Sequence[LogFit]) -> str:
     """A sentence on the channel that is followed worst, where what is left of it is neither little
-    nor noise: a parameter takes up what the model lacks, and its interval does not know of that.
-    """
+    nor noise: a parameter takes up what the model lacks, and its interval does not know of that."""
     worst: tuple[float, str] = (SETTINGS.little, "")
     for log, fit in zip(logs, fits, strict=True):
         for channel, y, counts in zip(log.channels, log.recorded.T, log.counts.T, strict=True):

@@ -33,8 +33,7 @@ class Coordinate:
     its range or of its start.
 
     ``prior`` is the standard deviation of what is known of it beside the data, about ``centre``,
-    both SI; infinite where nothing is.
-    """
+    both SI; infinite where nothing is."""
 
     name: str
     log: bool
@@ -86,8 +85,7 @@ class Coordinate:
     @property
     def reach(self) -> float:
         """How far a parameter may sensibly move, in its own units: between its bounds, or a few
-        units if they are far apart.
-        """
+        units if they are far apart."""
         low, high = self.bounds
         return min(high - low, 3.0)
 
@@ -129,8 +127,7 @@ def coordinates(
 
     Raises:
         InputError: unknown or repeated parameter, a start outside its bounds, a zero start without
-            an upper bound, a prior that is not positive or a share of zero.
-    """
+            an upper bound, a prior that is not positive or a share of zero."""
     given = {"start": dict(start or {}), "lower": dict(lower or {}), "upper": dict(upper or {})}
     given["prior"] = dict(prior or {})
     known = rig.parameters()
@@ -151,8 +148,7 @@ def coordinates(
 
 def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
     """The search coordinates of the bias of sensors that all logs share, each held by its
-    standard deviation.
-    """
+    standard deviation."""
     return [
         Coordinate(
             term.name,

@@ -116,8 +116,7 @@ class Log:
     @cached_property
     def coarse(self) -> np.ndarray:
         """Standard error [SI] of a resting reading that is recorded in counts, shape (channels,);
-        zero where the log is compared otherwise than by its readings.
-        """
+        zero where the log is compared otherwise than by its readings."""
         record, known = self.record, self.band is None
         return np.array(
             [count_error(record[c]) if known and c in record else 0.0 for c in self.channels]
@@ -130,8 +129,7 @@ class Log:
 
     def head(self, seconds: float) -> Log:
         """The first seconds of the log, as many as it takes every command to have changed as often
-        as two steps out and back; the log itself if it is not much longer.
-        """
+        as two steps out and back; the log itself if it is not much longer."""
         if self.band is not None:
             return self
         record = self.record
@@ -173,8 +171,7 @@ def prepare(
     Raises:
         InputError: a log that is not of this rig, or not in the units it says; no channel to
             compare.
-        InsufficientData: no command changes.
-    """
+        InsufficientData: no command changes."""
     rig = model.rig
     record, doubts = preprocess(name, record, model)
     warnings = [of_log(name, text) for text in doubts]
@@ -220,8 +217,7 @@ def _counts(
     name: str, rig: Rig, record: Record, channels: Sequence[str]
 ) -> tuple[np.ndarray, list[str]]:
     """(which samples of a log count, shape (samples, channels); a warning of each cylinder of which
-    some do not): those of an empty chamber and of a sensor at its end do not.
-    """
+    some do not): those of an empty chamber and of a sensor at its end do not."""
     messages: list[str] = []
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
     limit = SETTINGS.empty * float(rig.oil.cavitation_pressure)
@@ -291,8 +287,7 @@ def _compared(
     """What a simulation along a log is compared with: `_columns` but for what is tied.
 
     Raises:
-        InputError: nothing.
-    """
+        InputError: nothing."""
     result, given = _columns(record, live, required), tied_words(record)
     free = {channel: y for channel, y in result.items() if channel.rpartition(".")[2] not in given}
     fields = {"log": name, "live": ", ".join(live), "required": ", ".join(required)}
@@ -306,8 +301,7 @@ def _compared(
 
 def _columns(record: Record, live: Sequence[str], required: Sequence[str]) -> dict[str, np.ndarray]:
     """What the log has of the wanted quantities of the live cylinders and of the channels wanted by
-    full name, if it changes: the channel, what stands in for it, or the rate of its position.
-    """
+    full name, if it changes: the channel, what stands in for it, or the rate of its position."""
     columns: dict[str, np.ndarray] = {}
     for word in required:
         listed = [item for cylinder in live for item in channels_asked(record, cylinder, word)]
@@ -339,8 +333,7 @@ class Simulator:
         names: of the parameters, in the order of the values; also of terms of sensors that all
             logs share, whose values are their bias.
         workers: threads; 0 for one per core.
-        step: of the integration [s], or ``"auto"``.
-    """
+        step: of the integration [s], or ``"auto"``."""
 
     def __init__(
         self,
@@ -370,8 +363,7 @@ class Simulator:
         """The model at these values by payload.
 
         Raises:
-            EhbenchError: there is no such rig.
-        """
+            EhbenchError: there is no such rig."""
         changed = self._rig(values)
         return {
             load: model_of(changed, self.maps, load, self._kept)
@@ -390,8 +382,7 @@ class Simulator:
         """The rig at these values, made of the last: what did not change stays the same objects.
 
         Raises:
-            InputError: no rig file may have these values beside one another.
-        """
+            InputError: no rig file may have these values beside one another."""
         (before, rig), named = self._last, self._by_name(values, False)
         moved = {name: value for name, value in named.items() if before.get(name) != value}
         rig = rig.with_values(moved, self.known)
@@ -421,8 +412,7 @@ class Simulator:
         Args:
             chosen: logs by index, all by default.
             shifts: of all logs' starts, by default none.
-            slack: of the steps that are chosen (`Model.paced`).
-        """
+            slack: of the steps that are chosen (`Model.paced`)."""
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
         row, _ = self.each([(v, k, shifts[k]) for v in vectors for k in which], slack=slack)
@@ -436,8 +426,7 @@ class Simulator:
 
         Args:
             meshes: steps to take, of all logs; chosen by default.
-            slack: of the steps that are chosen.
-        """
+            slack: of the steps that are chosen."""
         self.effort.evaluations += len(points)
         built: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         models = []
@@ -483,8 +472,7 @@ class Simulator:
         record.
 
         Raises:
-            SimulationError: the numbers left the finite range.
-        """
+            SimulationError: the numbers left the finite range."""
         models, shared = self.models(values), self._by_name(values, True)
 
         def replayed(task: tuple[Log, np.ndarray]) -> tuple[dict[str, float], Record]:
@@ -502,8 +490,7 @@ class Simulator:
         """Of each log that takes very short steps, which state limits them and what makes it fast.
 
         Raises:
-            SimulationError: the numbers left the finite range.
-        """
+            SimulationError: the numbers left the finite range."""
         if self.step != AUTO:
             return
         models, shared = self.models(values), self._by_name(values, True)
@@ -522,8 +509,7 @@ def columns_of(log: Log, record: Record) -> np.ndarray:
 
 def channels_of(log: Log, replayed: Record) -> np.ndarray:
     """What is compared of a replay, of every sample or of means: the log's channels, shape
-    (samples, channels); of a log that is compared by its frequency response, that.
-    """
+    (samples, channels); of a log that is compared by its frequency response, that."""
     built = columns_of(log, seen_as(log, replayed))
     return built if log.band is None else log.band.seen(log.record, built)
 

@@ -48,8 +48,7 @@ class Errors:
 
 def errors_of(problem: Problem, state: State) -> Errors:
     """Standard errors of the parameters in search coordinates at an evaluated state, and what they
-    mean; all of them as if none were fixed at a bound.
-    """
+    mean; all of them as if none were fixed at a bound."""
     live = state.live
     blocks = linearised(problem, state, live)
     match = covariance_of(blocks, prior_of(problem, state, live))
@@ -79,8 +78,7 @@ def errors_of(problem: Problem, state: State) -> Errors:
 
 def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
     """The products of parameters that the logs know though they do not know each; one that ran
-    into its bound is taken for known there, as the search takes it.
-    """
+    into its bound is taken for known there, as the search takes it."""
     state, live = result.state, result.state.live
     normal = np.sum([eliminate(b, state.prior_weight).normal for b in result.blocks], axis=0)
     inside = [k for k, i in enumerate(live) if not _at_bound(problem, state, i)]
@@ -178,8 +176,7 @@ def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> results.F
 
 def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[str]]) -> list[str]:
     """A warning of each set of parameters that hang together by pairs of strong correlation, but
-    for those pairs whose names are in a group that is ``shown`` already.
-    """
+    for those pairs whose names are in a group that is ``shown`` already."""
     pairs = [
         (b, a)
         for a, name in enumerate(names)

@@ -118,8 +118,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     Raises:
         InputError: no such cylinder.
         LogError: a channel is missing.
-        InsufficientData: the cylinder did not move, or the supply has not one pressure.
-    """
+        InsufficientData: the cylinder did not move, or the supply has not one pressure."""
     item = rig.cylinder_named(cylinder)
     if not rig.supply.constant:
         raise InsufficientData(message("ledger.no_one_pressure", supply=rig.supply.kind))
@@ -166,8 +165,7 @@ def _load(
 ) -> tuple[str, float, dict[str, tuple[float, float]]]:
     """What a motion x [m] under a force of the pressures [N] worked against: (the chamber that
     carries the load, or none; the work of lifting it [J]; oil for a metre (out, in) [m²] by each
-    bound, the seventh where the supply [Pa] carries the load on the area difference).
-    """
+    bound, the seventh where the supply [Pa] carries the load on the area difference)."""
     head, rod = areas
     steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])
     mean = float(np.trapezoid(force, t) / (t[-1] - t[0]))
@@ -195,8 +193,7 @@ def _beyond(
     ledger: Ledger,
 ) -> tuple[str, tuple[Beyond, ...]]:
     """(the least bound that the working functions at work can reach, what each of them drew against
-    its share of ``ways`` [m] by that bound); nothing where none is logged.
-    """
+    its share of ``ways`` [m] by that bound); nothing where none is logged."""
     if (function := function_of(record, item.name)) is None:
         return "", ()
     at_work = {FUNCTIONS[f] for f in np.unique(function)}

@@ -218,8 +218,7 @@ def ledger_of_log(
 
     Raises:
         LogError: a channel is missing or not finite.
-        InputError: no such payload, or an edge without its map.
-    """
+        InputError: no such payload, or an edge without its map."""
     must_have_samples(record)
     payload = record.meta.get("payload", "none") if payload is None else payload
     load = None if payload in ("none", "") else payload

@@ -27,8 +27,7 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     openings and the commands.
 
     Raises:
-        LogError: a channel of the model is missing.
-    """
+        LogError: a channel of the model is missing."""
     names, plant = model.layout, model.plant
     samples, n = record.t.size, plant.at.rates
     states = np.zeros((samples, names.states))
@@ -66,8 +65,7 @@ def ledger_of_model(model: Model, record: Record, step: float = STEP) -> Ledger:
         step: longest integration step [s].
 
     Raises:
-        LogError: a channel is missing, or its flows are not those of this model.
-    """
+        LogError: a channel is missing, or its flows are not those of this model."""
     must_have_samples(record)
     t = np.ascontiguousarray(record.t, dtype=float)
     states, commands = states_of(model, record)

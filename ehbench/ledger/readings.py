@@ -39,8 +39,7 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
 
     Raises:
         LogError: no pressures, no position or no commands of a cylinder; values that are not
-            finite.
-    """
+            finite."""
     notes: list[str] = []
     names, cylinders, size = model.layout, model.plant.cylinders, record.t.size
 
@@ -94,11 +93,7 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
 
 
 def _motion(
-    name: str,
-    row: Any,
-    record: Record,
-    values: Callable[[str], np.ndarray],
-    notes: list[str],
+    name: str, row: Any, record: Record, values: Callable[[str], np.ndarray], notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(q, qd, x) of a cylinder, each from the others where the log has not all of them."""
     if f"{name}.q" not in record and f"{name}.x" not in record:

@@ -89,8 +89,7 @@ class Ledger:
         """The row of that name.
 
         Raises:
-            InputError: no such row; names those there are.
-        """
+            InputError: no such row; names those there are."""
         for row in self.rows:
             if row.name == name:
                 return row
@@ -159,8 +158,7 @@ class Sheet:
         rows: of each column.
         every: these, the residual's parts, and their sum.
         absent: names of rows that are left out, as of parts which the rig has not.
-        combinations: how much of each column is in each part, shape (parts, columns).
-    """
+        combinations: how much of each column is in each part, shape (parts, columns)."""
 
     def __init__(self, model: Model, word: str, changes: bool = False) -> None:
         names = model.layout

@@ -16,8 +16,7 @@ def frame_of(facts: board.Facts, numbers: Sequence[float]) -> dict[str, Any]:
 
     Args:
         facts: of the trial.
-        numbers: of the board.
-    """
+        numbers: of the board."""
     values = dict(zip(facts.names, numbers[board.FIRST : facts.first_lever], strict=True))
     inputs, cylinders = numbers[facts.first_lever :], []
     levers = dict(zip(facts.levers, inputs[board.LEVERS :], strict=True))

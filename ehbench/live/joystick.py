@@ -19,8 +19,7 @@ class Joystick:
         button: that is the dead-man switch; "" for any.
 
     Raises:
-        InputError: evdev is not installed; no such device, axis or button.
-    """
+        InputError: evdev is not installed; no such device, axis or button."""
 
     def __init__(self, device: str, axes: Sequence[str], button: str) -> None:
         try:
@@ -52,8 +51,7 @@ class Joystick:
         """As `OperatorInput.read`.
 
         Raises:
-            OSError: it was unplugged.
-        """
+            OSError: it was unplugged."""
         keys, levers = self._device.active_keys(), []
         for code, way in self._axes:
             info = self._device.absinfo(code)
@@ -71,8 +69,7 @@ def stick_of(facts: Facts) -> Joystick:
     """The joystick of a trial's motion.
 
     Raises:
-        InputError: as `Joystick`.
-    """
+        InputError: as `Joystick`."""
     axes = [axis for axis, _ in facts.levers.values()]
     return Joystick(facts.device, axes, facts.button)
 

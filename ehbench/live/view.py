@@ -74,8 +74,7 @@ class View:
         announce: gets the address of the page; says whether the view may draw on the terminal.
 
     Raises:
-        InputError: the joystick of its motion is not there.
-    """
+        InputError: the joystick of its motion is not there."""
 
     def __init__(self, prepared: Prepared, announce: Callable[[str], bool]) -> None:
         facts = facts_of(prepared)

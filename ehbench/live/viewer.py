@@ -168,8 +168,7 @@ def show_trial(memory: int, door: int, token: str, draws: bool, parent: int, kno
         token: of the page's address.
         draws: on the terminal.
         parent: number of the trial's process.
-        known: facts of the trial, as plain values.
-    """
+        known: facts of the trial, as plain values."""
     with suppress(OSError):
         os.nice(5)
     facts, board = Facts(**known), memoryview(mmap.mmap(memory, 0)).cast("d")

@@ -131,8 +131,7 @@ def reach(chain: Chain, target: np.ndarray, start: np.ndarray, free: np.ndarray)
     Args:
         target: [m], shape (3,).
         start: joint coordinates to start at, which also decide among several postures, shape (n,).
-        free: True for the joints that may move.
-    """
+        free: True for the joints that may move."""
     q = np.where(free, np.clip(start, chain.low, chain.high), start)
     frames = tip_frames(chain, q)
     error, damping = target - frames.tip, LIGHT
@@ -165,8 +164,7 @@ def polish(
     Args:
         targets: [m], shape (points, 3).
         starts: shape (points, n).
-        free: True for the joints that may move.
-    """
+        free: True for the joints that may move."""
     q = starts.copy()
     for _ in range(NEWTON):
         tip, axes, origins = tip_frames(chain, q)

@@ -24,8 +24,7 @@ def circuit_of(
     edges of valves that are ``unused``, by their numbers.
 
     Raises:
-        InputError: no edge is left at the cylinder.
-    """
+        InputError: no edge is left at the cylinder."""
     plant, edges = model.plant, model.plant.edges_at_chambers
     off = np.isin(edges.valve, unused)
     edges.from_node[off] = edges.to_node[off] = SUPPLY  # which is on no path
@@ -45,8 +44,7 @@ def design_point_of(
         circuit: the cylinder's.
         q: posture in which gains are scaled [rad or m], shape (joints,).
         tick: between samples [s].
-        still: numbers of valves that the controller shall not use.
-    """
+        still: numbers of valves that the controller shall not use."""
     plant, row = model.plant, model.plant.cylinders[circuit.cylinder]
     mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, q)
     axis = axis_of(circuit, mechanism, row, plant.forces)

@@ -84,8 +84,7 @@ class FmuModel(Model):
         """The variables of the FMU.
 
         Raises:
-            InputError: there is no such file or variable, or it is not for this platform.
-        """
+            InputError: there is no such file or variable, or it is not for this platform."""
         model = self.rig.model
         assert model is not None  # else it is a `Model`
         keys = ("channels", "commands", "settable", "start")
@@ -172,8 +171,7 @@ class FmuModel(Model):
         Raises:
             LogError: uneven time.
             InputError: a recording that ties motions or the supply.
-            FmuError: the FMU crashes, hangs, reports an error or numbers that are not finite.
-        """
+            FmuError: the FMU crashes, hangs, reports an error or numbers that are not finite."""
         if not record.even:
             raise LogError(message("plant.fmu_uneven"))
         if tied_words(record) or supplied(record):
@@ -212,6 +210,5 @@ def model_of(
     """What replays recordings of a rig: `Model.of`, or its FMU.
 
     Raises:
-        InputError: as `Model.of`.
-    """
+        InputError: as `Model.of`."""
     return (Model if rig.model is None else FmuModel).of(rig, maps, payload, shared)

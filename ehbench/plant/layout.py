@@ -104,8 +104,7 @@ class Layout:
         ``p_supply``.
 
         Raises:
-            KeyError: there is no such state, as of a valve without dynamics.
-        """
+            KeyError: there is no such state, as of a valve without dynamics."""
         if name == "p_supply":
             return self._at[name]
         owners = {"q": self.joints, "qd": self.joints, "opening": self.valves, "rate": self.valves}

@@ -61,8 +61,7 @@ def finite(log: np.ndarray, tick: float) -> np.ndarray:
     """A log table as it is.
 
     Raises:
-        SimulationError: the state stopped being finite; says when.
-    """
+        SimulationError: the state stopped being finite; says when."""
     if not np.isfinite(log[-1]).all():
         bad = int(np.argmin(np.isfinite(log).all(axis=1)))
         text = f"the simulation left finite numbers at t = {bad * tick:.4g} s"
@@ -92,8 +91,7 @@ class Model:
         it has in common with others of the same rig, but for its numbers, may be ``shared``.
 
         Raises:
-            InputError: no such payload, or an edge without its map.
-        """
+            InputError: no such payload, or an edge without its map."""
         shared = shared or Kept()
         body = shared.of(Rig.loaded, [rig.mechanism, rig.payload, payload], rig, payload)
         loaded = rig if payload is None else rig.model_copy(update={"mechanism": body})
@@ -122,8 +120,7 @@ class Model:
         """The links (or the slide) of the plant while they carry another payload.
 
         Raises:
-            InputError: no such payload.
-        """
+            InputError: no such payload."""
         return links_of(self.bare.with_payload(payload))
 
     def stroke_range(self, index: int) -> tuple[float, float]:
@@ -194,8 +191,7 @@ class Model:
 
         Raises:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
-            InputError: ``low_side`` is no pressure.
-        """
+            InputError: ``low_side`` is no pressure."""
         plant, names = self.plant, self.layout
         n = len(names.joints)
         y = np.zeros(names.states)
@@ -252,8 +248,7 @@ class Model:
         valves that it lacks stay at rest.
 
         Raises:
-            LogError: it lacks a force.
-        """
+            LogError: it lacks a force."""
         rest = [
             (f"{name}.command", float(valve.rest))
             for name, (_, valve) in zip(self.layout.valves, self.rig.valves(), strict=True)
@@ -281,8 +276,7 @@ class Model:
                 `ehbench.plant.paced`).
 
         Raises:
-            SimulationError: the state stopped being finite; says when.
-        """
+            SimulationError: the state stopped being finite; says when."""
         if step == AUTO:
             return self.paced(y, commands, tick)[0]
         log = np.empty((commands.shape[0], y.shape[0] + self.plant.edges.shape[0] + 1))
@@ -314,8 +308,7 @@ class Model:
                 cubic within a step.
 
         Raises:
-            SimulationError: as `run`.
-        """
+            SimulationError: as `run`."""
         extra = self.plant.edges.shape[0] + 1 if flows else 0
         log = np.zeros((commands.shape[0] // each, y.shape[0] + extra))
         table = np.ascontiguousarray(commands, dtype=float)
@@ -335,8 +328,7 @@ class Model:
         start the simulation with a jolt that the machine did not make. Rates are zero.
 
         Raises:
-            InputError: a posture outside the stroke.
-        """
+            InputError: a posture outside the stroke."""
         seen = seen_of(record, rest) if seen is None else seen
         command = self.commands_of(record)[:rest].mean(axis=0) if self.layout.played else None
         y = self.posed(seen, command)
@@ -361,8 +353,7 @@ class Model:
         ``command``.
 
         Raises:
-            InputError: a posture outside the stroke.
-        """
+            InputError: a posture outside the stroke."""
         plant, names = self.plant, self.layout
         required: dict[str, str | float] = {}
         for index, name in enumerate(names.cylinders):
@@ -393,8 +384,7 @@ class Model:
             seen: what `seen_of` gives of these samples.
 
         Raises:
-            InputError: a posture outside the stroke.
-        """
+            InputError: a posture outside the stroke."""
         rest = self.rest_samples(self.commands_of(record)) if rest is None else rest
         supply, tank = (
             float(np.mean(record[channel][:rest])) if channel in record else None
@@ -416,8 +406,7 @@ class Model:
 
         Raises:
             LogError: uneven time.
-            SimulationError: the numbers left the finite range.
-        """
+            SimulationError: the numbers left the finite range."""
         start = start or self.rest_start(record)
         model, table, y = self.along(record, start)
         log = model.run(y, table, record.sample_time, step)
@@ -436,8 +425,7 @@ class Model:
         given, such means of the replay, but for commands and openings.
 
         Raises:
-            LogError, SimulationError: as `replay`.
-        """
+            LogError, SimulationError: as `replay`."""
         model, table, y = self.along(record, start)
         each = 1 if means is None else means.each
         log, mesh = model.paced(y, table, record.sample_time, mesh, False, slack, each)
@@ -463,8 +451,7 @@ class Model:
         to it, the first state).
 
         Raises:
-            LogError: uneven time.
-        """
+            LogError: uneven time."""
         if not record.even:
             text = "the recording is not evenly sampled, so it cannot be replayed"
             raise LogError(text, hint="resample it to one rate")
@@ -561,8 +548,7 @@ def simulate(
 
     Raises:
         InputError: unknown valve or posture, wrong array length.
-        SimulationError: the numbers left the finite range.
-    """
+        SimulationError: the numbers left the finite range."""
     model = Model.of(rig, flow_maps, payload)
     samples = round(duration * rate) + 1
     t = np.arange(samples) / rate

@@ -42,8 +42,7 @@ def stiffness_of(model: Model, record: Record, start: Start) -> Stiffness | None
     twice as long, from the sample that is before it.
 
     Raises:
-        LogError, SimulationError: as `Model.replay`.
-    """
+        LogError, SimulationError: as `Model.replay`."""
     model, commands, y = model.along(record, start)
     plant, tick = model.plant, record.sample_time
     log, steps = model.paced(y, commands, tick, flows=False)
@@ -76,8 +75,7 @@ def short_steps(model: Model, record: Record, start: Start) -> Iterator[Message]
     it fast; nothing of an FMU, which chooses its steps itself.
 
     Raises:
-        LogError, SimulationError: as `stiffness_of`.
-    """
+        LogError, SimulationError: as `stiffness_of`."""
     stiff = None if model.rig.model is not None else stiffness_of(model, record, start)
     if stiff is not None:
         word = stiff.state.rpartition(".")[2]

@@ -103,8 +103,7 @@ def carry(
     Args:
         row: of the cylinder.
         balanced: pressures that carry the load [Pa].
-        seen: mean pressures of the recording [Pa], None where it has none.
-    """
+        seen: mean pressures of the recording [Pa], None where it has none."""
     force = balanced[0] * row.area_head - balanced[1] * row.area_rod
     p_head, p_rod = seen
     if p_head is None and p_rod is None:

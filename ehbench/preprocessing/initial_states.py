@@ -108,8 +108,7 @@ class InitialState:
         the recording by sensors that the shifts have put right, along which it is replayed.
 
         Raises:
-            InputError: a posture outside the stroke.
-        """
+            InputError: a posture outside the stroke."""
         true = self.true(shifts, shared)
         first = self.unmoved(model, true)
         y, supply, tank = first.y.copy(), first.supply, first.tank
@@ -137,8 +136,7 @@ class InitialState:
         """What `begin` moves: the start by sensors that are put right.
 
         Raises:
-            InputError: as `begin`.
-        """
+            InputError: as `begin`."""
         commands = []
         for channel, y in true.channels.items():
             if channel.endswith(".command"):
@@ -248,8 +246,7 @@ def initial_state_of(
         live: cylinders that move.
         compared: channels on which the simulation is compared with the recording, which tell a
             pressure by themselves.
-        terms: of its sensors; those of each log by itself are uncertain numbers.
-    """
+        terms: of its sensors; those of each log by itself are uncertain numbers."""
     rest = model.rest_samples(model.commands_of(record))
     moves = bool(moving_at_first(record, model.rig, rest) or on_at_first(record, model.rig, rest))
     numbers: list[Uncertain] = []
@@ -411,8 +408,7 @@ class Followed(NamedTuple):
         """What the model does, as the recording's sensors show it.
 
         Raises:
-            SimulationError: the state is not finite.
-        """
+            SimulationError: the state is not finite."""
         return sensed(model.replay(self.true, start=self.start), self.terms, self.bias)
 
 
@@ -437,8 +433,7 @@ def follow_recording(
 
     Raises:
         InputError: a posture outside the stroke.
-        SimulationError: the state is not finite.
-    """
+        SimulationError: the state is not finite."""
     terms = tuple(replace(term, per_log=True) for term in terms)
     start = initial_state_of(model, record, live, channels, terms)
     shifts = best_shifts(model, start, channels)
@@ -450,8 +445,7 @@ def best_shifts(model: Model, start: InitialState, channels: Sequence[str]) -> n
     best, as `follow_recording` has it.
 
     Raises:
-        InputError, SimulationError: as `follow_recording`.
-    """
+        InputError, SimulationError: as `follow_recording`."""
     search = _Follow(model, start, channels)
     shifts = np.zeros(len(start.uncertain))
     return search.best(shifts) if search.recorded.size and shifts.size else shifts
@@ -487,8 +481,7 @@ class _Follow:
 
     def residual(self, shifts: np.ndarray, replayed: Record | None = None) -> np.ndarray:
         """Simulated minus recorded [SI], shape (samples, channels), of a replay, which runs here
-        where there is none: one that failed among others says why.
-        """
+        where there is none: one that failed among others says why."""
         if replayed is None:
             run = self.run_of(shifts)
             replayed = run.model.replay(run.record, start=run.start)

@@ -137,8 +137,7 @@ def payload_of(record: Record) -> str | None:
     """The payload that a log says was carried, None for none.
 
     Raises:
-        InputError: it changed on the way.
-    """
+        InputError: it changed on the way."""
     (_, payload), *changes = payloads_of(record)
     if changes:
         time, after = changes[0]
@@ -158,8 +157,7 @@ def read_off(name: str, records: Sequence[Record]) -> str | None:
 def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
     """Notes where pressures of supply and tank are not the rig file's, the accumulator runs empty
     or the supply's pressure is not the model's. What speaks against the model has a ``cause``, and
-    the ``line`` to write and ``where``.
-    """
+    the ``line`` to write and ``where``."""
     notes = []
     for name, channel in READ_OFF.items():  # what has no log goes by the rig file
         if channel not in record or channel not in simulated:

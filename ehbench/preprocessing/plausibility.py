@@ -62,8 +62,7 @@ def replay_notes(name: str, record: Record, model: Model) -> Iterator[Message]:
     """Notes on a log whose measured inputs are replayed.
 
     Raises:
-        InputError: it has no position to replay, or not all that a given motion needs.
-    """
+        InputError: it has no position to replay, or not all that a given motion needs."""
     words, rig = tied_words(record), model.rig
     if supplied(record):
         yield message("preprocessing.supply_replayed")
@@ -326,8 +325,7 @@ def _peak(
 
     Args:
         supply: its pressure [Pa].
-        need: pressure [Pa] that carries the load.
-    """
+        need: pressure [Pa] that carries the load."""
     relief = 0.0 if cylinder.relief_pressure is None else float(cylinder.relief_pressure)
     peaks = {word: float(np.percentile(values, 99)) for word, values in seen.items()}
     for word, peak in peaks.items():

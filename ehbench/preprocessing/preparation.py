@@ -39,8 +39,7 @@ def prepare(name: str, record: Record, model: Model, sensors: Sequence[Sensor] =
     and drivers, or estimated.
 
     Raises:
-        InputError, LogError: as `preprocess`; a sensor of no channel of the log.
-    """
+        InputError, LogError: as `preprocess`; a sensor of no channel of the log."""
     record = known_taken_out(name, record, sensors)
     terms = terms_of(sensors, [record])
     record, notes = preprocess(name, record, model)
@@ -55,8 +54,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
         LogError: not evenly sampled, with the worst gap; an angle that the stroke does not allow.
         InputError: too few or too coarse samples, a sample that is no number, no channel of the
             rig, a command, angle or position outside its range, pressures that cannot be in their
-            unit.
-    """
+            unit."""
     count, rig = record.t.size, model.rig
     if count < plausibility.LEAST_SAMPLES:
         text = message(

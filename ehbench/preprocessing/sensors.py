@@ -62,8 +62,7 @@ class Term:
 
 def _known(sensor: Sensor) -> dict[str, float]:
     """The numbers of a sensor as far as they are known: ``offset`` is what it reads at zero,
-    ``scale`` has its sign.
-    """
+    ``scale`` has its sign."""
     plain = {"offset": 0.0, "scale": 1.0, "lag": 0.0, "delay": 0.0}
     given = {word: sensor[word] for word in WORDS}
     known = plain | {word: float(x) for word, x in given.items() if isinstance(x, Value)}
@@ -76,8 +75,7 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
     """A log as sound sensors would have given it, as far as sign, scale and offset are known.
 
     Raises:
-        InputError: the log has no such channel.
-    """
+        InputError: the log has no such channel."""
     channels = dict(record.channels)
     for sensor in sensors:
         if sensor.channel not in channels:

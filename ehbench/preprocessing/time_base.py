@@ -36,8 +36,7 @@ def evened(name: str, record: Record) -> tuple[Record, list[Message]]:
     interpolated, commands constant.
 
     Raises:
-        LogError: samples are missing, or their stamps are not those of one rate, early and late.
-    """
+        LogError: samples are missing, or their stamps are not those of one rate, early and late."""
     steps = np.diff(record.t)
     tick = record.sample_time
     if np.abs(steps - tick).max() <= SETTINGS.even * tick:
@@ -86,8 +85,7 @@ def parts_of(
     Args:
         name: of the log, which its parts have with their number.
         driven: leave out parts in which no command changes.
-        within: [s] the span that counts; parts outside of it are left out.
-    """
+        within: [s] the span that counts; parts outside of it are left out."""
     whole = [LogPart(name, record)]
     if record.t.size < 3:
         return whole, []

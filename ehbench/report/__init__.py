@@ -14,8 +14,7 @@ def draw(folder: Path) -> None:
     leaves an empty index.
 
     Raises:
-        InputError: a saved file is missing or lacks what its figure needs.
-    """
+        InputError: a saved file is missing or lacks what its figure needs."""
     run = Saved(folder)
     index = FigureIndex(run.folder)
     report_of(run).draw(run, index)

@@ -159,8 +159,7 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
     attributes of the parsed elements are styles, never their texts.
 
     Raises:
-        ValueError: it is no SVG.
-    """
+        ValueError: it is no SVG."""
     root = sound(svg)
     for item in list(root.iter()):
         item.tag = item.tag.rpartition("}")[2]

@@ -12,15 +12,7 @@ from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import Answer, reported
-from ehbench.report.words import (
-    DASH,
-    number,
-    pretty,
-    shown,
-    unit_of,
-    with_interval,
-    words,
-)
+from ehbench.report.words import DASH, number, pretty, shown, unit_of, with_interval, words
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
 from ehbench.vocabulary import Z95, InputError, message
@@ -87,8 +79,7 @@ def compare(first: Path, second: Path) -> Comparison:
     """What differs between two runs.
 
     Raises:
-        InputError: no run, or runs of different kinds.
-    """
+        InputError: no run, or runs of different kinds."""
     chapters = reported(first)[0], reported(second)[0]
     item, other = (chapter.run for chapter in chapters)
     if item.what != other.what or item.stage != other.stage:

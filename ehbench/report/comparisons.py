@@ -21,8 +21,7 @@ def draw_comparisons(run: Saved, index: FigureIndex, log: str, kind: str, lead: 
 
     Args:
         kind: of the figure: ``fit`` leaves a stroke out where its joint's angle is there.
-        lead: what the title begins with.
-    """
+        lead: what the title begins with."""
     series = run.series(log)
     if series is None:
         return

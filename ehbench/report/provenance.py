@@ -50,8 +50,7 @@ class TracedRun:
     """A run folder with the files it was made from, located again.
 
     Raises:
-        InputError: the folder holds no run.
-    """
+        InputError: the folder holds no run."""
 
     def __init__(self, folder: Path) -> None:
         self.run = Saved(folder)

@@ -36,8 +36,7 @@ class Table(Mapping):
         """The value; tables inside come as `Table`.
 
         Raises:
-            InputError: no such key.
-        """
+            InputError: no such key."""
         name = f"{self._where}.{key}" if self._where else key
         if key not in self._values:
             raise InputError(message("report.no_key", name=name), file=self._file)
@@ -59,8 +58,7 @@ class Table(Mapping):
         """A number, or None for null.
 
         Raises:
-            InputError: missing or no number.
-        """
+            InputError: missing or no number."""
         value = self[key]
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
             text = message("report.not_a_number", name=f"{self._where}.{key}", value=value)
@@ -149,8 +147,7 @@ class Saved:
     """One run folder.
 
     Raises:
-        InputError: its ``run.json`` is not there, or is none.
-    """
+        InputError: its ``run.json`` is not there, or is none."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
@@ -190,8 +187,7 @@ class Saved:
         """A JSON file of the folder that holds a table.
 
         Raises:
-            InputError: not there, not JSON, no table.
-        """
+            InputError: not there, not JSON, no table."""
         path = self.folder / name
         return Table(read_json(path), path)
 
@@ -199,8 +195,7 @@ class Saved:
         """A JSON file of the folder that holds a list of tables.
 
         Raises:
-            InputError: not there, not JSON, no list of tables.
-        """
+            InputError: not there, not JSON, no list of tables."""
         path = self.folder / name
         tables = read_json(path)
         if not isinstance(tables, list):
@@ -253,8 +248,7 @@ def read_series(path: Path) -> Series:
     [rad]``.
 
     Raises:
-        InputError: no time, an unknown channel, a cell that is no number.
-    """
+        InputError: no time, an unknown channel, a cell that is no number."""
     table = text_table(path, "t [s],boom.q [rad],simulated.boom.q [rad]")
     columns = np.ascontiguousarray(table.floats(range(len(table.header))).T)
     t, sides = None, {"recorded": {}, "simulated": {}}
@@ -282,8 +276,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     empty cell.
 
     Raises:
-        InputError: a cell is no number.
-    """
+        InputError: a cell is no number."""
     table = text_table(path, "t [s],boom.q [rad]")
     columns = np.ascontiguousarray(table.floats(range(len(table.header))).T)
     return {_head(name)[0]: column for name, column in zip(table.header, columns, strict=True)}
@@ -294,8 +287,7 @@ def read_points(path: Path) -> Points:
     [..], method, outlier``.
 
     Raises:
-        InputError: a column is missing, or a cell is no number.
-    """
+        InputError: a column is missing, or a cell is no number."""
     table = text_table(path, "valve,direction,command [V],pressure_drop [kPa],flow [gpm]")
     columns = {_head(name)[0]: (i, _head(name)[1]) for i, name in enumerate(table.header)}
     values_of: dict[str, np.ndarray] = {}

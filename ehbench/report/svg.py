@@ -24,8 +24,7 @@ def sound(svg: str) -> ElementTree.Element:
     the page, styles that fetch.
 
     Raises:
-        ValueError: it is no SVG.
-    """
+        ValueError: it is no SVG."""
     if "<!DOCTYPE" in svg.upper() or "<!ENTITY" in svg.upper():
         svg = re.sub(r"<!DOCTYPE[^>\[]*>", "", svg, count=1)
         if "<!" in svg.replace("<!--", ""):

@@ -53,8 +53,7 @@ class Answer:
         Args:
             width: of the terminal, in characters; columns that do not fit are left out, the last
                 first.
-            whole: all tables with all their columns, all steps and notes.
-        """
+            whole: all tables with all their columns, all steps and notes."""
         verdict, short = self.verdict, self.verdict.split()[: MOST_WORDS // 2]
         if not whole and len(short) < len(verdict.split()):
             cut = " ".join(short)
@@ -102,8 +101,7 @@ def reported(folder: Path) -> tuple[Chapter, Sequence[Block]]:
     """A run as a chapter of the report without figures, and the part of it that a terminal shows.
 
     Raises:
-        InputError: a file of the run is missing or damaged.
-    """
+        InputError: a file of the run is missing or damaged."""
     (chapter,) = chapters_of([Saved(folder)], [lambda **shows: []])
     parts = {part.title: part.inside for part in chapter.content.parts}
     shown = (parts[title] for title in chapter.stage.shows if title in parts)
@@ -116,8 +114,7 @@ def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool 
     the rig file's units), ``numbers`` [SI] and the ``files`` of the run.
 
     Raises:
-        InputError: as `reported`.
-    """
+        InputError: as `reported`."""
     chapter, blocks = reported(folder)
     run, status, sentence = chapter.run, chapter.content.status, chapter.content.sentence
     bullets = [item for block in blocks if isinstance(block, Bullets) for item in block.items]
@@ -155,8 +152,7 @@ def report_answer(folder: Path, notes: Sequence[str] = (), code: int = 0) -> Ans
     """What a report says: the verdict over its runs, their main numbers, and what to do next.
 
     Raises:
-        InputError: as `reported`.
-    """
+        InputError: as `reported`."""
     places = [item.place for item in TracedRun(folder).sources if item.role == "run"]
     runs = [place for place in places if place is not None]
     chapters = chapters_of([Saved(run) for run in runs], [lambda **shows: []] * len(runs))

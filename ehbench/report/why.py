@@ -40,8 +40,7 @@ def named_result(run: Saved, name: str) -> NamedResult:
     parameter by its own name.
 
     Raises:
-        InputError: no number has that name, or several do; names them.
-    """
+        InputError: no number has that name, or several do; names them."""
     results = [
         result
         for path in sorted(run.folder.glob("*.json"))
@@ -185,8 +184,7 @@ def origin(name: str, folder: Path) -> Origin:
     run that carries the parameters of its rig, the fit that they are from.
 
     Raises:
-        InputError: no run, no number of that name, or several.
-    """
+        InputError: no run, no number of that name, or several."""
     traced, changes = TracedRun(folder), []
     if traced.run.stage == "report":
         changes, report = traced.changes(), traced
@@ -236,8 +234,7 @@ def _result(traced: TracedRun, name: str, carried: bool) -> NamedResult:
     """The number of a run; if ``carried``, else that parameter of the rig that the run was made on.
 
     Raises:
-        InputError: as `named_result`.
-    """
+        InputError: as `named_result`."""
     try:
         return named_result(traced.run, name)
     except InputError as error:

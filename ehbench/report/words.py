@@ -226,8 +226,7 @@ def ranged_in(rig: Rig, case: Any, form: str, *path: str | int) -> str:
     """A number of a trial, by where it stands in its row, with its range over several runs.
 
     Args:
-        form: ``percent:2`` of a share, ``number:2``, or a quantity and its digits, ``v:3``.
-    """
+        form: ``percent:2`` of a share, ``number:2``, or a quantity and its digits, ``v:3``."""
     kind, _, digits = form.partition(":")
     value, ends = case.row, case.row.get("range")
     for key in path:

@@ -103,8 +103,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON file of a run folder.
 
     Raises:
-        InputError: not there or not JSON.
-    """
+        InputError: not there or not JSON."""
 
     def message_of(value: dict[str, Any]) -> Any:  # where `plain` wrote one
         if value.keys() != {"key", "text", "fields"}:
@@ -191,8 +190,7 @@ def open_run(
 
     Raises:
         InputError: ``final`` contains anything but the files of a run that can be made again, or it
-            cannot be written.
-    """
+            cannot be written."""
     inputs, final = list(inputs), checked_place(final)
     left_over = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
@@ -318,8 +316,7 @@ def checked_place(final: Path) -> Path:
     """Where a run's folder really is: a link is followed, never replaced.
 
     Raises:
-        InputError: the path leads nowhere, or to what no run may replace.
-    """
+        InputError: the path leads nowhere, or to what no run may replace."""
     try:
         place = final.resolve() if final.is_symlink() else final
         if Path.cwd().is_relative_to(place.resolve()):
@@ -342,8 +339,7 @@ def _survey(folder: Path) -> tuple[list[Path], list[Path]]:
 
     Raises:
         InputError: it is no folder, contains anything that its run did not write, or what a machine
-            did.
-    """
+            did."""
     if not folder.exists():
         return [], []
     if not folder.is_dir():
@@ -373,8 +369,7 @@ def outputs_of(facts: Path) -> Mapping[str, Any]:
     """The files that a run wrote, by name, each with its SHA-256, from its ``run.json``.
 
     Raises:
-        InputError: it is no ``run.json``.
-    """
+        InputError: it is no ``run.json``."""
     content = read_json(facts)
     outputs = content.get("outputs") if isinstance(content, Mapping) else None
     if not isinstance(outputs, Mapping):

@@ -9,8 +9,7 @@ from typing import Any
 @cache
 def _libraries() -> Any:
     """The linear algebra of numpy and scipy, found once: to look through what is loaded takes
-    longer than a short run.
-    """
+    longer than a short run."""
     import scipy.linalg  # noqa: F401 - scipy's comes with it
     from threadpoolctl import ThreadpoolController
 
@@ -20,7 +19,6 @@ def _libraries() -> Any:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Sums of one BLAS thread have one order, so the same input gives the same bytes; small systems
-    are quicker that way too. The process has its own number of threads back at the end.
-    """
+    are quicker that way too. The process has its own number of threads back at the end."""
     with _libraries().limit(limits=1, user_api="blas"):
         yield

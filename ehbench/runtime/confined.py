@@ -24,8 +24,7 @@ _PIPE_BYTES = 1 << 20  # bytes that a pipe hands over at once
 @dataclass(frozen=True)
 class Bounds:
     """What a child may use: ``memory`` [bytes] beyond what the process holds already, ``seconds``
-    [s] of computing, and ``wait`` [s] in all.
-    """
+    [s] of computing, and ``wait`` [s] in all."""
 
     memory: float
     seconds: float
@@ -64,8 +63,7 @@ def confined(
         readable: whole paths of files and folders that it may read.
 
     Raises:
-        Ended: it crashed, or took longer than its bounds.
-    """
+        Ended: it crashed, or took longer than its bounds."""
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the child starts no thread of these
         reading, writing = os.pipe()

@@ -1,6 +1,5 @@
 """Files read whole: only plain ones, and only as large as can be held; files written whole or not
-at all.
-"""
+at all."""
 
 import os
 import shutil
@@ -23,8 +22,7 @@ def read_bytes(path: Path, maximum: int = TEXT, error: type[InputError] = InputE
     Raises:
         FileNotFoundError: there is none.
         InputError: of the type ``error``: it is a folder, a pipe or a device, too large, not
-            readable, or its name is none that a disk can hold.
-    """
+            readable, or its name is none that a disk can hold."""
     try:
         # a pipe without a writer would keep the process waiting
         flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -53,8 +51,7 @@ def read_bytes(path: Path, maximum: int = TEXT, error: type[InputError] = InputE
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path``. What the block writes there takes the place of ``path``
     when the block ends well; otherwise an earlier file stays as it was. A link is followed, a
-    device is written to.
-    """
+    device is written to."""
     path = path.resolve()
     if path.exists() and not path.is_file():
         yield path
@@ -75,8 +72,7 @@ def replacing(path: Path) -> Iterator[Path]:
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
     """A temporary folder inside a new or empty one. What the block writes moves into ``folder``
-    when the block ends well; otherwise nothing stays.
-    """
+    when the block ends well; otherwise nothing stays."""
     is_new = not folder.exists()
     scratch = folder / f".{os.getpid()}.part"
     scratch.mkdir(parents=True)
@@ -92,8 +88,7 @@ def filling(folder: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text whole or not at all, in UTF-8; bytes of file names that are none come out as
-    they were.
-    """
+    they were."""
     with replacing(path) as part:
         part.write_bytes(text.encode("utf-8", "surrogateescape"))
 

@@ -56,8 +56,7 @@ class Fmu:
     """An FMU for co-simulation, unpacked.
 
     Raises:
-        InputError: it cannot be read, is not for co-simulation, or not for this platform.
-    """
+        InputError: it cannot be read, is not for co-simulation, or not for this platform."""
 
     def __init__(self, file: Path) -> None:
         try:
@@ -105,8 +104,7 @@ class Fmu:
 
         Raises:
             InputError: there is none, it is no single real number, not of that dimension, or cannot
-                be set where it is to be.
-        """
+                be set where it is to be."""
         known = {item.name: item for item in self.description.modelVariables}
         item = known.get(name)
         if item is None:
@@ -151,8 +149,7 @@ def fmu_of(file: Path) -> Fmu:
     """The FMU of a file, unpacked once.
 
     Raises:
-        InputError: as `Fmu`.
-    """
+        InputError: as `Fmu`."""
     try:
         facts = file.stat()
     except OSError as error:
@@ -182,14 +179,12 @@ class FmuProcess:
 
     def start(self, values: np.ndarray) -> np.ndarray:
         """The channels at t = 0, shape (channels,), of a new instance: ``values`` of its start,
-        then the commands.
-        """
+        then the commands."""
         return self._ask(START, values[None, :], 0.0)[0]
 
     def steps(self, table: np.ndarray, tick: float) -> np.ndarray:
         """The channels after each command of a ``table``, shape (rows, commands), has acted for a
-        tick [s]; fewer rows where one is not finite.
-        """
+        tick [s]; fewer rows where one is not finite."""
         rows = [np.empty((0, self.width))]
         for first in range(0, len(table), FMU.rows):
             part = table[first : first + FMU.rows]

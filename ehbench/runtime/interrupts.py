@@ -1,6 +1,5 @@
 """Signals that end the process. They are raised in the main thread, wherever it stands, but not
-while it does what an exception must not leave half done.
-"""
+while it does what an exception must not leave half done."""
 
 import signal
 import threading
@@ -12,8 +11,7 @@ AGAIN = 2.0  # [s] of work after which an end that has not come is asked for aga
 
 class Terminated(SystemExit):
     """The process was asked to end by a signal, by ``number``: what is under way is cleared,
-    nothing blamed.
-    """
+    nothing blamed."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -22,8 +20,7 @@ class Terminated(SystemExit):
 
 class _State:
     """How many blocks are at work that nothing may break, the signal that waits for them, and the
-    one that the process is ending by.
-    """
+    one that the process is ending by."""
 
     depth = 0
     waiting = 0
@@ -34,8 +31,7 @@ def listen() -> None:
     """Let SIGTERM, a terminal that closes (SIGHUP, unless ``nohup`` ignores it), and the keyboard
     where Python's own handler has it, raise `Terminated`; again and again until `ended`, for
     libraries turn it into errors of theirs, or swallow it, and no exception comes out of a
-    finaliser.
-    """
+    finaliser."""
     signal.signal(signal.SIGTERM, _end)
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         signal.signal(signal.SIGHUP, _end)
@@ -75,8 +71,7 @@ def unbroken() -> Iterator[None]:
     lock that it had just taken would be kept for ever.
 
     Raises:
-        Terminated: at its end, where one came meanwhile.
-    """
+        Terminated: at its end, where one came meanwhile."""
     if threading.current_thread() is not threading.main_thread():
         yield  # handlers run in the main thread alone
         return

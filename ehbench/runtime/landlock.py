@@ -32,8 +32,7 @@ def restrict(readable: Iterable[Path], writable: Path) -> bool:
         writable: a folder for everything.
 
     Returns:
-        Whether the system knows how; else nothing has changed.
-    """
+        Whether the system knows how; else nothing has changed."""
     system = ctypes.CDLL(None, use_errno=True)
     handled = ctypes.c_uint64(_EVERYTHING)
     rules = system.syscall(_CREATE, ctypes.byref(handled), ctypes.sizeof(handled), 0)

@@ -44,8 +44,7 @@ def refuse_beyond(needed: float, what: str) -> None:
     """Refuse work that would fill more than SHARE of the memory; ``needed`` in bytes.
 
     Raises:
-        InputError: says how much it would take.
-    """
+        InputError: says how much it would take."""
     if needed > SHARE * available():
         hint = f"up to {SHARE * available() / 1e9:.3g} GB are taken here"
         raise InputError(f"{what} would take {needed / 1e9:.3g} GB of memory", hint=hint)
@@ -55,8 +54,7 @@ def rows_of(seconds: float, rate: float) -> int:
     """How many samples a time [s] has at a rate [Hz], without the first.
 
     Raises:
-        InputError: more than any trial has.
-    """
+        InputError: more than any trial has."""
     rows = seconds * rate
     if not rows <= MOST_ROWS:
         hint = f"a trial has up to {MOST_ROWS:g}"

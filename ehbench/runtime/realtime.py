@@ -22,8 +22,7 @@ def punctual(priority: int = PRIORITY, pinned: bool = True) -> Iterator[list[str
         pinned: to the last core.
 
     Yields:
-        what the system did not allow: ``fifo``, ``memory``, ``core``.
-    """
+        what the system did not allow: ``fifo``, ``memory``, ``core``."""
     refused: list[str] = []
     restore: list[Callable[[], None]] = []
 
@@ -69,8 +68,7 @@ def punctual(priority: int = PRIORITY, pinned: bool = True) -> Iterator[list[str
 
 def aside() -> None:
     """Let a thread begun in a punctual block run on other cores, below the block's priority: were
-    it not in real time, others could stop it while it holds the lock of Python's interpreter.
-    """
+    it not in real time, others could stop it while it holds the lock of Python's interpreter."""
     with suppress(OSError, AttributeError):
         os.sched_setaffinity(0, set(range(os.cpu_count() or 1)))
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY // 2))

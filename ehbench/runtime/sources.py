@@ -9,8 +9,7 @@ APART = ("__pycache__", "shipped")  # what compilers keep, and recipes and datas
 def sources(package: Path, *suffixes: str) -> list[Path]:
     """The files below a package that have one of these suffixes, in the order of their paths.
 
-    What lies APART is not looked into: another process may clear old code away meanwhile.
-    """
+    What lies APART is not looked into: another process may clear old code away meanwhile."""
     results = []
     for folder, below, names in os.walk(package):
         below[:] = [name for name in below if name not in APART]

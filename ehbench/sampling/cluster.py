@@ -85,15 +85,10 @@ class Cluster:
     hangs over a sample beyond the ``limit`` [s] is restarted.
 
     Raises:
-        InputError: no such extra is installed, or no scheduler answers.
-    """
+        InputError: no such extra is installed, or no scheduler answers."""
 
     def __init__(
-        self,
-        workers: Workers,
-        bundle: Bundle,
-        measures: int,
-        limit: float | None = None,
+        self, workers: Workers, bundle: Bundle, measures: int, limit: float | None = None
     ) -> None:
         try:
             from distributed import Client, Security
@@ -126,8 +121,7 @@ class Cluster:
         """The samples of tasks, some at a time, in any order.
 
         Raises:
-            InputError: a worker has another version of the package.
-        """
+            InputError: a worker has another version of the package."""
         tasks = iter(tasks)
         with self._client as client:
             sent = client.scatter(self._sent, broadcast=False, hash=True)

@@ -94,8 +94,7 @@ class Fitted(NamedTuple):
         """Of a ``parameters.json``.
 
         Raises:
-            InputError: it has no such parameter, or no standard error of it.
-        """
+            InputError: it has no such parameter, or no standard error of it."""
         rows = {row["name"]: row for row in result["parameters"]}
         known = [name for name in rows if rows[name]["std"] is not None]
         names = list(required) or known
@@ -120,8 +119,7 @@ class Design:
     """The samples of a study; ``fitted`` is what its ``identified`` names.
 
     Raises:
-        InputError: numbers without a common unit, a correlation that cannot be, …
-    """
+        InputError: numbers without a common unit, a correlation that cannot be, …"""
 
     def __init__(self, recipe: StudyRecipe, fitted: Fitted | None = None) -> None:
         self.recipe = recipe

@@ -29,8 +29,7 @@ class Journal:
         taken: how many samples were taken over.
 
     Raises:
-        InputError: it has samples of this study, and ``resume`` is not set.
-    """
+        InputError: it has samples of this study, and ``resume`` is not set."""
 
     def __init__(self, path: Path, key: str, size: int, resume: bool) -> None:
         self.path, self.done = path, np.zeros(size, bool)
@@ -61,8 +60,7 @@ class Journal:
         """Add samples.
 
         Raises:
-            InputError: the disk takes no more; what is there stays.
-        """
+            InputError: the disk takes no more; what is there stays."""
         for sample in samples:
             if not self.done[sample.index]:
                 place, row = self._end, {"i": sample.index, "c": sample.code, "s": sample.status}

@@ -27,8 +27,7 @@ def key_of(text: str, upstream: Sequence[str] = ()) -> tuple[str, str, str]:
     """(stem of the ``upstream`` recipe or '', file that it changes, path in it) of a study's key.
 
     Raises:
-        InputError: it names no file.
-    """
+        InputError: it names no file."""
     stem = next((name for name in upstream if text.startswith(f"{name}.")), "")
     file, _, path = text.removeprefix(f"{stem}.").partition(".")
     if file in (RIG, RECIPE, BENCH) and path:
@@ -53,8 +52,7 @@ def changes_of(settings: Mapping[str, Any], upstream: Sequence[str] = ()) -> dic
     """The changes to each recipe by its stem, '' for the study's recipe.
 
     Raises:
-        InputError: a key names no file.
-    """
+        InputError: a key names no file."""
     results = {"": Changes()}
     for text, value in settings.items():
         stem, file, path = key_of(text, upstream)
@@ -69,8 +67,7 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
     """A rig with some of its numbers set.
 
     Raises:
-        InputError: no such number, with the nearest; or it cannot be set to that.
-    """
+        InputError: no such number, with the nearest; or it cannot be set to that."""
     if not changes:
         return rig
     known, values, deeper = rig.parameters(), {}, {}
@@ -111,8 +108,7 @@ def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: st
         file: ``rig``, ``recipe`` or ``bench``, for messages.
 
     Raises:
-        InputError: the path leads through what is no table, or a factor meets no number.
-    """
+        InputError: the path leads through what is no table, or a factor meets no number."""
     built = deepcopy(dict(table))
     for path, raw in changes.items():
         _put(built, path.split("."), raw, f"{file}.{path}", built)

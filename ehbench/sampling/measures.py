@@ -76,8 +76,7 @@ def of_channels(item: Measure, record: Record, stop: float | None) -> float:
     """A measure of a trial's log [SI]; nan since a ``stop`` [s] by a limit that never was.
 
     Raises:
-        LogError: no such channel; names those there are.
-    """
+        LogError: no such channel; names those there are."""
     y = record[item.channel or ""]
     y = y if item.minus is None else y - record[item.minus]
     if item.since == "stop":
@@ -109,8 +108,7 @@ def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:
         file: ``file`` and ``line`` of the study's key.
 
     Raises:
-        InputError: names the nearest.
-    """
+        InputError: names the nearest."""
     if not any(_leads(root, name.split(".")) for root in roots):
         known = [item for root in roots for item in names_in(root)]
         near = get_close_matches(name, known, 1, 0.3)

@@ -71,8 +71,7 @@ class _Worker:
         """The sample of a task; None where it takes longer than ``limit`` [s].
 
         Raises:
-            OSError, EOFError: the process died.
-        """
+            OSError, EOFError: the process died."""
         self.pipe.send(task)
         if not self.pipe.poll(None if limit is None else limit + self._grace):
             return None

@@ -36,8 +36,7 @@ class Workers:
         insecure: let pickles go to another machine unencrypted, and run those that come back.
 
     Raises:
-        InputError: a certificate that is not there, or plain ``tcp://`` to another machine.
-    """
+        InputError: a certificate that is not there, or plain ``tcp://`` to another machine."""
 
     scheduler: str = ""
     count: int = 0
@@ -78,8 +77,7 @@ class Workers:
             insecure: as of `Workers`.
 
         Raises:
-            InputError: it is neither, or as `Workers`.
-        """
+            InputError: it is neither, or as `Workers`."""
         given = [path for path in certificates if path is not None]
         if given and len(given) < len(Certificates._fields):
             raise InputError(message("sampling.some_certificates"))

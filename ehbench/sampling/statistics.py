@@ -25,8 +25,7 @@ def quantile(values: np.ndarray, share: float) -> Quantile:
 
     Args:
         values: finite, shape (samples,), at least one.
-        share: of the quantile, above 0 and below 1.
-    """
+        share: of the quantile, above 0 and below 1."""
     from scipy.stats import quantile_test
 
     interval = quantile_test(values, p=share).confidence_interval(0.95)
@@ -76,8 +75,7 @@ def rank_regression(
     Args:
         keys: of the inputs.
         inputs: shape (samples, inputs); those that do not vary get nan.
-        values: finite, shape (samples,).
-    """
+        values: finite, shape (samples,)."""
     from scipy.stats import rankdata
 
     x, y = rankdata(inputs, axis=0), rankdata(values)
@@ -102,8 +100,7 @@ def scores(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
     Args:
         codes: a number for each text, shape (samples,).
-        values: of the measure, finite, shape (samples,).
-    """
+        values: of the measure, finite, shape (samples,)."""
     from scipy.stats import rankdata
 
     ranks, (_, at) = rankdata(values), np.unique(codes, return_inverse=True)
@@ -117,8 +114,7 @@ def sobol(keys: Sequence[str], values: np.ndarray, count: int, seed: int) -> lis
         keys: of the inputs.
         values: finite, in the order of the design: A, B, then A with each column of B in turn.
         count: samples in A.
-        seed: of the bootstrap.
-    """
+        seed: of the bootstrap."""
     from scipy.stats import sobol_indices
 
     size = len(keys)

@@ -54,8 +54,7 @@ class Summary:
         status without an end.
 
         Raises:
-            InputError: no such measure.
-        """
+            InputError: no such measure."""
         recipe = self.recipe
         names = [column.name for column in self.measures]
         first = self.targets[0]["measure"] if self.targets else names[0]

@@ -45,8 +45,7 @@ def fit(
         y: shape (samples, channels).
         tau: [s], of the drift's exponential; 0 for none.
         start: inside the bounds, (log ω [rad/s], ζ) or these and log τ [s], which is sought then.
-        bounds: of the point, shape (2, numbers).
-    """
+        bounds: of the point, shape (2, numbers)."""
     from scipy.optimize import least_squares
 
     def residuals(point: np.ndarray) -> np.ndarray:

@@ -103,16 +103,14 @@ def first_of(y: np.ndarray, count: int) -> float:
 
 def stretches_of(marked: np.ndarray) -> np.ndarray:
     """First entry and the one after the last of each stretch that is marked, shape (stretches, 2),
-    of a mask, shape (samples,).
-    """
+    of a mask, shape (samples,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
     return edges.reshape(-1, 2)
 
 
 def block_averages(y: np.ndarray, each: int) -> np.ndarray:
     """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
-    left out.
-    """
+    left out."""
     count = len(y) // each
     return y[: count * each].reshape(count, each, *y.shape[1:]).mean(axis=1)
 
@@ -161,8 +159,7 @@ def transients(
         t: time [s], shape (samples,).
         commands: [V], shape (samples,) or (samples, valves).
         minimum: [V], one number or one a valve: a command has changed when it is off its last level
-            by more.
-    """
+            by more."""
     table = _as_table(commands)
     changed: set[int] = set()
     for u, dead in zip(table.T, np.broadcast_to(minimum, table.shape[1]), strict=True):
@@ -271,8 +268,7 @@ def ringing(
         y: any unit, shape (samples,) or (samples, channels).
         guess: (ω [rad/s], ζ) to start from instead of the search.
         trim: leave out what comes after the oscillation has decayed; keep False to use exactly the
-            window given.
-    """
+            window given."""
     y = _as_table(y)
     if len(t) < SETTINGS.samples:
         return Ringing(reason=message("signals.few_samples", count=len(t)))
@@ -321,8 +317,7 @@ def ringing_like(
 
     Args:
         t, y: as for `ringing`, covering the window of ``like`` from its start.
-        like: of the other series.
-    """
+        like: of the other series."""
     if not like.ok:
         return Ringing(reason=message("signals.other_silent"))
     y = _as_table(y)
@@ -412,8 +407,7 @@ def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, f
 
     Args:
         residual: sum of squares of what is left over, in the weights of ``y``.
-        colour: samples of it that count as one independent one.
-    """
+        colour: samples of it that count as one independent one."""
     step = 1e-4
     moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
     slopes = np.empty((y.size, len(moves)))
@@ -430,8 +424,7 @@ def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
     """The result with standard errors, or the reason why it is none.
 
     Args:
-        loud: mean square, in the weights given, from which on it rings whatever else moves.
-    """
+        loud: mean square, in the weights given, from which on it rings whatever else moves."""
     weights, y = tuple(float(w) for w in weight), y[:, weight > 0.0] * weight[weight > 0.0]
     _, left = project(basis(s, omega, zeta, tau), y)
     _, rest = project(drift(s, tau), y)

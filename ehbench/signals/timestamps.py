@@ -40,8 +40,7 @@ class Timestamps(NamedTuple):
     Attributes:
         period: [s] of the rate.
         number: of each row on that rate, from 0 on, increasing; shape (rows,).
-        off: [s] by which each stamp is late of its number, mean 0; shape (rows,).
-    """
+        off: [s] by which each stamp is late of its number, mean 0; shape (rows,)."""
 
     period: float
     number: np.ndarray
@@ -134,8 +133,7 @@ def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | No
 
     Args:
         t: [s] increasing, shape (rows,).
-        period: [s] of the rate, where it is known.
-    """
+        period: [s] of the rate, where it is known."""
     fewest = SETTINGS.fewest
     if t.size < fewest:
         return None

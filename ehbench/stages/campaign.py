@@ -79,8 +79,7 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     """Run folders → one self-contained ``report.html``; reads saved files only.
 
     Raises:
-        InputError: a folder is no whole run, or lacks what its section needs.
-    """
+        InputError: a folder is no whole run, or lacks what its section needs."""
     from ehbench.report import build
     from ehbench.report.provenance import unsupported
 

@@ -35,8 +35,7 @@ class DryRun:
         """What a run of a recipe would find.
 
         Raises:
-            InputError: it needs itself.
-        """
+            InputError: it needs itself."""
         recipe = load_recipe(recipe) if isinstance(recipe, Path) else recipe
         path = recipe.path
         if path in self._walk:

@@ -30,8 +30,7 @@ def inherited(
         folder: run of the fit, or one that carries its ``parameters.json``.
         sensors: of the recipe; a table of theirs precedes that of the fit.
         channels: that all logs have; what reads another channel is left out.
-        rig: whose units the notes use.
-    """
+        rig: whose units the notes use."""
     path = folder / FILE
     result = rundir.read_json(path) if path.is_file() else {}
     named = {item.channel for item in sensors}

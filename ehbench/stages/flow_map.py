@@ -43,8 +43,7 @@ ERRORS = MachineErrors()
 @dataclass(frozen=True)
 class PreparedMaps(Prepared):
     """Readings by edge, None where a dry run finds none that can be read; the logs that they are
-    from, if any.
-    """
+    from, if any."""
 
     recipe: FlowMapRecipe
     state: RigState

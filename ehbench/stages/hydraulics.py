@@ -134,8 +134,7 @@ def expect_hydraulics(recipe: Recipe) -> HydraulicsRecipe:
     """The recipe, which fits hydraulics.
 
     Raises:
-        InputError: it does not.
-    """
+        InputError: it does not."""
     if not isinstance(recipe, HydraulicsRecipe):
         raise InputError(message("stages.no_hydraulics"), file=recipe.path)
     return recipe
@@ -146,8 +145,7 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
     ``suggestions.json``; returns the recipe's path.
 
     Raises:
-        InputError: the folder is there and not empty.
-    """
+        InputError: the folder is there and not empty."""
     import tomli_w
 
     from ehbench.config.rig import parameter_row

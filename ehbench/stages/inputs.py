@@ -74,8 +74,7 @@ class Logs(NamedTuple):
         remarks: what was interpolated, one for each.
         details: each gap and bad sample that was.
         entries: number of the recipe's entry of each.
-        files: all files, with the maps of columns that they were read by.
-    """
+        files: all files, with the maps of columns that they were read by."""
 
     records: list[tuple[str, Record]]
     inputs: NamedFiles
@@ -99,8 +98,7 @@ class Inputs:
         allow_code: whether recipes may run Python code.
         unvalidated: whether a controller may be tuned on a rig that no validation accepted.
         ask: gets a token from a person before a machine moves, see `ehbench.links.arming`.
-        live: see `ehbench.live.view.View`; None without a live view.
-    """
+        live: see `ehbench.live.view.View`; None without a live view."""
 
     recipe: Recipe
     notes: Notes
@@ -115,8 +113,7 @@ class Inputs:
         """The file or folder that the recipe names.
 
         Raises:
-            InputError: it is not there; names the nearest.
-        """
+            InputError: it is not there; names the nearest."""
         path = self.recipe.file(name)
         if path.exists():
             return path
@@ -135,8 +132,7 @@ class Inputs:
         """A rig with its maps: from a rig file, a run folder, or a recipe that makes one.
 
         Raises:
-            InputError: it is not there, or has no maps.
-        """
+            InputError: it is not there, or has no maps."""
         path, maps_path, promised = self._rig_source(rig, flow_maps)
         facts = rundir.read_json(path / "run.json") if path.is_dir() else {"stage": "file"}
         judged = "validated" if facts.get("accepted") else "rejected"
@@ -210,8 +206,7 @@ class Inputs:
         command changes where logs are to be ``driven``.
 
         Raises:
-            InputError: one is not there, or has no samples in its window.
-        """
+            InputError: one is not there, or has no samples in its window."""
         import numpy as np
 
         from ehbench.data.record import OVERRULED, lost, recovered
@@ -270,8 +265,7 @@ class Inputs:
         cannot be read: what is left to check where there is no rig.
 
         Raises:
-            InputError: one is not there, or cannot be read; with those of the others.
-        """
+            InputError: one is not there, or cannot be read; with those of the others."""
         errors: list[EhbenchError] = []
         for index, item in enumerate(data):
             with gathered(errors):
@@ -355,8 +349,7 @@ def refuse_fmu(rig: Rig, allowed: bool) -> None:
     """Refuse a rig whose FMU may not run, or is not what its ``[model]`` says.
 
     Raises:
-        InputError: says why.
-    """
+        InputError: says why."""
     from ehbench.plant.foreign import FmuModel
 
     if rig.model is None:

@@ -29,8 +29,7 @@ class Notes:
         losses: data that are lost.
         errors: what the run would stop at.
         options: of the command, without which the run is refused.
-        tried: logs that were read, or could not be.
-    """
+        tried: logs that were read, or could not be."""
 
     recipe: Recipe
     dry_run: bool = False

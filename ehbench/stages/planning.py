@@ -33,8 +33,7 @@ class NextTest:
 
     def answer(self, run: Path, written: Path | None) -> Answer:
         """What the command says of the ``run`` of a fit; ``written`` is the recipe of the first
-        test, if it was.
-        """
+        test, if it was."""
         name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
         now = self._text(self.known.interval)
         then = self._text(self.proposals[0].interval)
@@ -84,8 +83,7 @@ class NextTest:
         """The first test as the recipe of a trial on the virtual bench.
 
         Raises:
-            InputError: the file is there already.
-        """
+            InputError: the file is there already."""
         import tomli_w
 
         if path.exists():
@@ -116,8 +114,7 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     """The profile likelihood of a parameter in a run folder: ``profile.json`` and its picture.
 
     Raises:
-        InputError: another kind of recipe, a parameter that it does not fit.
-    """
+        InputError: another kind of recipe, a parameter that it does not fit."""
     from ehbench.guidance.profile import profile
     from ehbench.report import draw
 
@@ -142,8 +139,7 @@ def recipe_of(run: TracedRun) -> HydraulicsRecipe:
     """The recipe of a run that fitted hydraulics, as the run read it.
 
     Raises:
-        InputError: another kind of run; a recipe that is gone or has changed.
-    """
+        InputError: another kind of run; a recipe that is gone or has changed."""
     if run.run.what != "hydraulics":
         raise InputError(message("stages.no_fit"), file=run.folder)
     if run.recipe.place is None or not run.recipe.is_same:
@@ -160,8 +156,7 @@ def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | 
 
     Raises:
         InputError: the parameter was not fitted.
-        InsufficientData: no test is possible.
-    """
+        InsufficientData: no test is possible."""
     recipe = expect_hydraulics(inputs.recipe)
     rows = {row["name"]: row for row in run.run.json("parameters.json")["parameters"]}
     if name is not None:

@@ -14,8 +14,7 @@ _LISTS = ("data", "beside")
 
 def relocated(table: Any, name_of: Callable[[str], str], key: str = "") -> Any:
     """A recipe's table, or a part of it by its key, with the files that it names under other names:
-    ``name_of`` gives the new one by that in the recipe.
-    """
+    ``name_of`` gives the new one by that in the recipe."""
     if isinstance(table, dict):
         return {name: relocated(value, name_of, name) for name, value in table.items()}
     if isinstance(table, list):

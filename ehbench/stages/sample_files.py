@@ -64,8 +64,7 @@ def write_sample(plan: Plan, design: Design, index: int, folder: Path) -> Path:
     changes, rigs and bench files with its numbers.
 
     Raises:
-        EhbenchError: they cannot be created, as the sample itself.
-    """
+        EhbenchError: they cannot be created, as the sample itself."""
     with TemporaryDirectory() as scratch:
         sampler = Sampler(plan, Path(scratch))
         files = sampler.files(design.settings(index), Path(scratch))
@@ -145,8 +144,7 @@ def load_study(study: Path) -> Path:
     """The recipe of a study or of its run folder.
 
     Raises:
-        InputError: the run's recipe has changed since.
-    """
+        InputError: the run's recipe has changed since."""
     if not study.is_dir():
         return study
     run = TracedRun(study)

@@ -130,8 +130,7 @@ class RecipeFile:
         """The recipe as a sample has it; its changed bench file goes to ``folder``.
 
         Raises:
-            InputError: a key or value that it does not take.
-        """
+            InputError: a key or value that it does not take."""
         recipe = self.model
         if changes.recipe:
             table = changed_table(self.table, changes.recipe, RECIPE)
@@ -232,8 +231,7 @@ class Sampler:
         since that costs next to nothing.
 
         Raises:
-            EhbenchError: with the nearest key, or as the trial's stage.
-        """
+            EhbenchError: with the nearest key, or as the trial's stage."""
         files = self.files(settings, self.scratch)
         for stem, change in files.changes.items():
             file = RecipeFile.of(files.base.upstream[stem]) if stem else files.base
@@ -367,8 +365,7 @@ def write_bench(recipe: Recipe, changes: Mapping[str, Any], path: Path) -> None:
     """Write the bench file of a recipe with some of its keys set.
 
     Raises:
-        InputError: the recipe has no bench, or that has no such key.
-    """
+        InputError: the recipe has no bench, or that has no such key."""
 
     import tomli_w
 

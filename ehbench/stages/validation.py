@@ -17,14 +17,7 @@ from ehbench.config.recipe import (
     load_recipe,
 )
 from ehbench.runs import rundir
-from ehbench.stages.base import (
-    REJECTED,
-    PreparedFromLogs,
-    Stage,
-    Work,
-    write_rig,
-    write_series,
-)
+from ehbench.stages.base import REJECTED, PreparedFromLogs, Stage, Work, write_rig, write_series
 from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, RigState, span_of
 from ehbench.stages.notes import Notes

@@ -152,8 +152,7 @@ class Case:
         ledger of the middle one, and the measures of all.
 
         Raises:
-            EhbenchError: as `ehbench.trial.run`.
-        """
+            EhbenchError: as `ehbench.trial.run`."""
         if self.seeds == 1:
             return self._once(prepared, log)
         runs = [prepared.seeded(self.recipe.seed + more) for more in range(self.seeds)]
@@ -194,8 +193,7 @@ def run_cases(
         progress: told which case is done and the share done.
 
     Raises:
-        EhbenchError: a case fails; those that have not begun are given up.
-    """
+        EhbenchError: a case fails; those that have not begun are given up."""
     names, done = file_names(cases), count(1)
 
     def run_case(index: int) -> Account:

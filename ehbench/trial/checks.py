@@ -70,8 +70,7 @@ def checks_of(
         cylinders: of the rig's plant.
         rows: of the trial.
         driven: the cylinders that it moves.
-        laws: of these, none of a user's class.
-    """
+        laws: of these, none of a user's class."""
     strokes = cylinders["stroke"]
 
     def bound(given: object, share: float) -> np.ndarray:

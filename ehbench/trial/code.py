@@ -17,8 +17,7 @@ def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
     """Refuse a user's controller unless it is allowed.
 
     Raises:
-        InputError: it is not allowed.
-    """
+        InputError: it is not allowed."""
     if recipe.controller is not None and recipe.controller.code is not None and not allowed:
         where = recipe.at(*recipe.controller.where, "class")
         raise InputError(message("trial.code_not_allowed", code=recipe.controller.code), **where)
@@ -29,8 +28,7 @@ def code_file(recipe: TrialRecipe) -> Path | None:
     module; None without class.
 
     Raises:
-        InputError: there is none.
-    """
+        InputError: there is none."""
     if recipe.controller is None or recipe.controller.code is None:
         return None
     text, where = recipe.controller.code, recipe.at(*recipe.controller.where, "class")

@@ -52,8 +52,7 @@ def command_table(
 
     Raises:
         InputError: unknown or taken valve, a command outside its valve's range, a file without the
-            channel, a window that is empty.
-    """
+            channel, a window that is empty."""
     valves = {f"{c.name}.{v.name}": v for c, v in rig.valves()}
     names = list(valves)
     table = np.tile([v.rest for v in valves.values()], (t.size, 1))
@@ -94,8 +93,7 @@ def log_with(channel: str, path: Path) -> Record:
     """A log, or that of a trial's run, which has a channel.
 
     Raises:
-        InputError: it does not have it; names those that it has.
-    """
+        InputError: it does not have it; names those that it has."""
     from ehbench.data import read
 
     record = read(path / "log.mcap" if path.is_dir() else path)

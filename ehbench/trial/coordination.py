@@ -76,8 +76,7 @@ def pace_of(flow: np.ndarray, limit: float, tick: float) -> Pace | None:
     Args:
         flow: that the desired motion draws [m³/s], a row a tick.
         limit: [m³/s], > 0.
-        tick: [s].
-    """
+        tick: [s]."""
     from scipy.ndimage import minimum_filter1d
 
     share = np.minimum(1.0, limit / np.maximum(flow, 1e-3 * limit))
@@ -220,8 +219,7 @@ def planned(
         driven: the cylinders with the motions that are desired, all of one length.
         rules: of function selection of each.
         low: pressure [Pa] of a chamber that carries nothing.
-        share: False leaves the motions as they are.
-    """
+        share: False leaves the motions as they are."""
     design, recipe = driven[0].design, driven[0].recipe
     plant, tick = design.model.plant, 1.0 / float(recipe.rate)
     mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, design.q)

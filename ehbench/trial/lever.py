@@ -85,8 +85,7 @@ def commanded(
     [m/s] and acceleration [m/s²].
 
     Raises:
-        InputError: a log without the lever's channel.
-    """
+        InputError: a log without the lever's channel."""
     rate, stroke, margin = float(recipe.rate), float(design.row.stroke), recipe.limits.stroke_margin
     room = OPERATOR.reserve * stroke + (0.0 if margin is None else float(margin))
     speed, rise, zone = limits["speed"], limits["acceleration"], float(motion.dead_zone)

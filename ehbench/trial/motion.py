@@ -76,8 +76,7 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     """The table of a trial, as long as the recipe's duration or, without one, as its motion.
 
     Raises:
-        InputError: a motion that is incomplete or leaves the stroke, with the line.
-    """
+        InputError: a motion that is incomplete or leaves the stroke, with the line."""
     motion = recipe.motion
     if motion is None:
         return lasting(recipe, design, rest(design))
@@ -95,8 +94,7 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
     """A motion for as long as the recipe says, if it does.
 
     Raises:
-        InputError: it leaves the stroke, with the line.
-    """
+        InputError: it leaves the stroke, with the line."""
     motion = recipe.motion
     rate, table = float(recipe.rate), desired.table
     if recipe.duration is not None:
@@ -144,8 +142,7 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
     [Pa] above tank; on one spool both edges stand wide open.
 
     Raises:
-        InputError: the valves have no function for it.
-    """
+        InputError: the valves have no function for it."""
     circuit, model = design.circuit, design.model
     line, p_tank = model.plant.supply, model.plant.tank_pressure
     p_supply, limit = float(line.pressure), float(line.flow_limit)
@@ -238,8 +235,7 @@ def limits_of(recipe: TrialRecipe, motion: CylinderMotion, points: int) -> dict[
     points.
 
     Raises:
-        InputError: rests that are not one for all or one for each.
-    """
+        InputError: rests that are not one for all or one for each."""
     assert motion.speed is not None  # the recipe's model sees to it
     speed = float(motion.speed)
     acceleration = (

@@ -75,8 +75,7 @@ class Operator:
 
 class Replayed:
     """Who holds the levers as a list says, an item for each `read`; after the last, the dead-man
-    switch is let go.
-    """
+    switch is let go."""
 
     def __init__(self, given: Iterable[Sequence[float] | None]) -> None:
         self._given = iter(given)
@@ -121,7 +120,6 @@ def refuse_unmanned(prepared: Prepared, source: OperatorInput | None) -> None:
     """Refuse a trial whose levers nobody holds.
 
     Raises:
-        InputError: it has levers and no ``source``.
-    """
+        InputError: it has levers and no ``source``."""
     if source is None and levers_of(prepared):
         raise InputError(message("trial.unmanned"), **prepared.recipe.at("motion", "kind"))

@@ -46,12 +46,7 @@ from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.realtime import aside
 from ehbench.trial.controllers import Compiled
 from ehbench.trial.lever import LEVER_CHANNELS
-from ehbench.trial.operator import (
-    Operator,
-    OperatorInput,
-    levers_of,
-    refuse_unmanned,
-)
+from ehbench.trial.operator import Operator, OperatorInput, levers_of, refuse_unmanned
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary import InputError, message, quantity, setting
@@ -97,8 +92,7 @@ class Session:
 
     Raises:
         InputError: a posture that the machine cannot take; a limit reached before the start; a
-            user's class that cannot be loaded.
-    """
+            user's class that cannot be loaded."""
 
     def __init__(
         self,
@@ -169,9 +163,7 @@ class Session:
                 )
 
     def run(
-        self,
-        log: LiveLog | None = None,
-        progress: Callable[[str, float], None] | None = None,
+        self, log: LiveLog | None = None, progress: Callable[[str, float], None] | None = None
     ) -> None:
         """Run to the end, or after a limit until the machine stands, for RUN_OUT at most; ``stop``
         then says which limit, ``after`` what came of it, ``end`` how many rows there are. A log
@@ -179,8 +171,7 @@ class Session:
 
         Raises:
             SimulationError: the numbers left the finite range.
-            InputError: a user's class raised, or gave no commands.
-        """
+            InputError: a user's class raised, or gave no commands."""
         with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
@@ -404,8 +395,7 @@ class Session:
 class LiveLog:
     """The log of a running trial: what came until less than a second ago can be read, however the
     process ends. The facts in ``meta`` are those that are known; ``threaded``, a thread writes,
-    and the trial does not wait for the disk.
-    """
+    and the trial does not wait for the disk."""
 
     def __init__(
         self,
@@ -426,8 +416,7 @@ class LiveLog:
         """Append rows.
 
         Raises:
-            OSError: the disk is full, perhaps since the rows before.
-        """
+            OSError: the disk is full, perhaps since the rows before."""
         rows = np.stack(list(channels.values()), axis=1)
         if self._pool is None:
             return self.writer.extend(t, rows)

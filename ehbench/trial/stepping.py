@@ -31,8 +31,7 @@ class Controller(Protocol):
         rate: ticks a second [Hz].
         ticks: how many steps it has.
         posture: where its motion begins, as `Machine.start` takes it.
-        low_side: pressure [Pa] of the unloaded chambers there, by cylinder.
-    """
+        low_side: pressure [Pa] of the unloaded chambers there, by cylinder."""
 
     channels: tuple[str, ...]
     commands: Inputs
@@ -48,16 +47,14 @@ class Controller(Protocol):
             sample: SI, shape (channels,); nan where the machine has no sensor.
 
         Raises:
-            InputError: a sample of another shape; a user's class that raised.
-        """
+            InputError: a sample of another shape; a user's class that raised."""
         ...
 
     def step(self, sample: np.ndarray) -> np.ndarray:
         """The commands [V], shape (valves,), at a sample as `start` takes it.
 
         Raises:
-            InputError: it was not started, or its motion is over; a user's class that raised.
-        """
+            InputError: it was not started, or its motion is over; a user's class that raised."""
         ...
 
 
@@ -108,8 +105,7 @@ def refuse_other(machine: Machine, prepared: Prepared) -> None:
     """Refuse a user's machine that lacks a part, or is not of a trial's rig and rate.
 
     Raises:
-        InputError: says what differs.
-    """
+        InputError: says what differs."""
     like, parts = prepared.machine, (*Machine.__annotations__, *vars(Machine))
     missing = [name for name in parts if name[0] != "_" and not hasattr(machine, name)]
     if missing:

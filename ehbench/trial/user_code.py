@@ -71,8 +71,7 @@ class Guard:
         Raises:
             Overdue, Exit: it took too long, or asked for the process's end.
             Terminated, KeyboardInterrupt: the user ended the process.
-            BaseException: whatever the code raised.
-        """
+            BaseException: whatever the code raised."""
 
         def no_exit(status: int = 0) -> None:
             raise Exit(status)
@@ -121,8 +120,7 @@ class UserCode:
         beyond: ticks in which it asked for more than a driver takes.
 
     Raises:
-        InputError: the file or class is not right, or its code raised.
-    """
+        InputError: the file or class is not right, or its code raised."""
 
     def __init__(
         self,

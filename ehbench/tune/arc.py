@@ -101,8 +101,7 @@ class Search:
     in whose working function the controller stays.
 
     Raises:
-        InsufficientData: there is none.
-    """
+        InsufficientData: there is none."""
 
     def __init__(self, study: Study[ArcTuneRecipe]) -> None:
         recipe = study.recipe
@@ -170,8 +169,7 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
         progress: called with the step at work and the share done.
 
     Raises:
-        InsufficientData: no operating point in whose working function the controller stays.
-    """
+        InsufficientData: no operating point in whose working function the controller stays."""
     report = progress or (lambda what, share: None)
     search = Search(study)
     tried: dict[float, ArcCandidate] = {}

@@ -268,8 +268,7 @@ class SampledPlant:
 
         Args:
             design_point: what the controller is designed for.
-            gains: of `ehbench.control.arc_gains.pack_arc`.
-        """
+            gains: of `ehbench.control.arc_gains.pack_arc`."""
         lagged = np.array([name.startswith("p_") for name in _words(self.model)])
         tick = _LawTick(self, design_point, gains)
         count, none = tick.sizes.size, np.zeros(tick.inputs.size)

@@ -52,8 +52,7 @@ def robustness(
         law: with its washouts and off-side gain.
         gains: by working function.
         correlation: of the parameters; those not named are drawn independently.
-        progress: called with the share done.
-    """
+        progress: called with the share done."""
     recipe, names = study.recipe, uncertain(study.rig)
     if not names or recipe.draws == 0:
         return Robustness(0, names, 0, None, (), ())
@@ -128,8 +127,7 @@ def draw_parameters(
     clipped to their bounds.
 
     Raises:
-        InputError: a correlation matrix that is none.
-    """
+        InputError: a correlation matrix that is none."""
     known = rig.parameters()
     values = [known[n] for n in names]
     matrix = np.eye(len(names))

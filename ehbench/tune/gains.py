@@ -43,8 +43,7 @@ def tune_pressure_feedback(
     Args:
         study: of `ehbench.tune.study.prepare_tuning`.
         correlation: (names, matrix) of the identified parameters; others are drawn independently.
-        progress: called with the step at work and the share done.
-    """
+        progress: called with the step at work and the share done."""
     report = progress or (lambda what, share: None)
     recipe, notes = study.recipe, list(study.notes)
     counted = [motion for motion in study.motions if motion.counts]

@@ -88,8 +88,7 @@ def equivalent(
         model: with its payload.
         cylinder: its number.
         x: strokes [m], shape (points,).
-        posture: of the other joints, as `Model.posture`; mid-stroke by default.
-    """
+        posture: of the other joints, as `Model.posture`; mid-stroke by default."""
     plant = model.plant
     row = plant.cylinders[cylinder]
     joint = int(row.joint)
@@ -431,8 +430,7 @@ def operating_point(
         aim: what is requested.
 
     Raises:
-        InputError: a function that the circuit cannot do, or a force played from a log.
-    """
+        InputError: a function that the circuit cannot do, or a force played from a log."""
     _check(model, circuit, function)
     motion = _Motion(model, circuit, function, here, index, aim)
     row, way = motion.row, DIRECTION[function]

@@ -84,8 +84,7 @@ class LawSearch:
 
     Attributes:
         grid: gains to try [m³/(s·Pa)], about the one that makes a chamber as fast as its load
-            swings; the search for a law tries half of them.
-    """
+            swings; the search for a law tries half of them."""
 
     def __init__(
         self, motions: Sequence[SteadyMotion], recipe: TuneRecipe, demands: dict[str, float]

@@ -93,8 +93,7 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
 
     Raises:
         InputError: no such cylinder, payload, function or posture.
-        InsufficientData: no operating point at which a function can work.
-    """
+        InsufficientData: no operating point at which a function can work."""
     name = recipe.cylinder or rig.cylinder[0].name
     if recipe.cylinder is None and len(rig.cylinder) > 1:
         known = ", ".join(f'"{c.name}"' for c in rig.cylinder)
@@ -152,8 +151,7 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[SteadyMotion
     """Every operating point under a payload at which the cylinder moves.
 
     Raises:
-        InputError: a requested function that the valves cannot do.
-    """
+        InputError: a requested function that the valves cannot do."""
     recipe, name = study.recipe, study.cylinder
     cylinder = model.layout.cylinders.index(name)
     stroke = model.plant.cylinders[cylinder].stroke

@@ -1,6 +1,5 @@
 """Judge a model on logs it was not fitted to: simulated against recorded, residuals, ringing, a
-verdict with reasons.
-"""
+verdict with reasons."""
 
 from ehbench.validation.judge import (
     PreparedValidation,
@@ -10,10 +9,4 @@ from ehbench.validation.judge import (
     run_validation,
     validate_rig,
 )
-from ehbench.validation.results import (
-    LogResult,
-    Ring,
-    Validation,
-    read_validation,
-    speaking_against,
-)
+from ehbench.validation.results import LogResult, Ring, Validation, speaking_against

@@ -49,8 +49,7 @@ SETTINGS = BaselineSettings()
 
 class Arx(NamedTuple):
     """A fitted ARX of a channel: ``poles`` a(i), shape (order,), ``inputs`` b(i, j) and c, shape
-    (2 (order + 1) · commands + 1,), on means over ``tick`` [s].
-    """
+    (2 (order + 1) · commands + 1,), on means over ``tick`` [s]."""
 
     channel: str
     commands: tuple[str, ...]
@@ -65,8 +64,7 @@ class Arx(NamedTuple):
 
     def run(self, record: Record) -> np.ndarray:
         """The channel on a record's commands from its first few samples on, at the record's
-        times; not finite where it is unstable.
-        """
+        times; not finite where it is unstable."""
         from scipy.signal import lfilter, lfiltic
 
         t, y, u, level = _signals(record, self.channel, self.commands, self.tick)
@@ -93,8 +91,7 @@ def black_boxes(
     Args:
         results: of each log.
         records: of each log, all of it.
-        training: name and record of further logs that the model was fitted to.
-    """
+        training: name and record of further logs that the model was fitted to."""
     pairs = list(zip(results, records, strict=True))
     known = [*training, *((log.name, record) for log, record in pairs if log.status == "fitted")]
     held_out = [pair for pair in pairs if pair[0].status == "held_out"]
@@ -116,8 +113,7 @@ def black_boxes(
 @np.errstate(over="ignore", invalid="ignore")
 def fit(channel: str, records: Sequence[Record]) -> Arx | None:
     """The ARX of a channel whose free run is the nearest to these records, over `SETTINGS.orders`
-    and `SETTINGS.ticks`; None where they do not support one.
-    """
+    and `SETTINGS.ticks`; None where they do not support one."""
     cylinder = channel.partition(".")[0]
     commands = tuple(
         name
@@ -157,8 +153,7 @@ def _signals(
     record: Record, channel: str, commands: Sequence[str], tick: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """(means over ``tick`` of times, of the channel beyond its level, of the commands by direction,
-    shape (blocks, 2 commands), the level).
-    """
+    shape (blocks, 2 commands), the level)."""
     each = max(1, round(tick / record.sample_time))
     u = np.column_stack([record[name] - record[name][0] for name in commands])
     values, moved = _values(record, channel), np.flatnonzero(np.any(u != 0.0, axis=1))

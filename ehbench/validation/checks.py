@@ -39,8 +39,7 @@ def checks_of(
     rig: Rig,
 ) -> list[Check]:
     """Every check that a log supports: channel by channel, then cylinder by cylinder, then the
-    responses to commands that sweep.
-    """
+    responses to commands that sweep."""
     checks = [check for result in results for check in _channel_checks(result, requested, rig)]
     judged = (w for w in windows if w.judged)
     for cylinder, mine in groupby(judged, key=lambda w: w.cylinder):
@@ -110,8 +109,7 @@ def _channel_checks(result: ChannelResult, requested: Thresholds, rig: Rig) -> I
 
 def beyond_noise(fit: float, noise_share: float) -> float:
     """The fit [%] of a recording by a model that fits its motion to ``fit`` [%], where white noise
-    makes up ``noise_share`` of the standard deviation: the squares of both misses add up.
-    """
+    makes up ``noise_share`` of the standard deviation: the squares of both misses add up."""
     miss, noise = 1.0 - fit / 100.0, noise_share**2
     return 100.0 * (1.0 - math.sqrt(miss**2 * (1.0 - noise) + noise))
 
@@ -120,8 +118,7 @@ def unrequested(
     results: Sequence[ChannelResult], requested: Thresholds, rig: Rig, record: Record
 ) -> Iterator[Message]:
     """What is poor although no threshold asks for it: a position that is followed badly, a level
-    that is off.
-    """
+    that is off."""
     for result in results:
         name, fit = _channel_name(result.channel), result.fit_percent
         cylinder, word = result.channel.rsplit(".", 1)
@@ -147,8 +144,7 @@ def unrequested(
 
 def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit: float) -> Check:
     """The worst window: fails where the difference exceeds what is allowed by more than two of its
-    standard errors.
-    """
+    standard errors."""
     what = f"{cylinder} {key.replace('_', ' ')}"
     silent = [w for w in windows if w.simulated.natural_frequency is None]
     if silent:

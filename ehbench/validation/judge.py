@@ -97,8 +97,7 @@ def validate_rig(
 
     Raises:
         InputError: a payload or channel that the rig does not have, no logs, or one that
-            `preprocessing.prepare` refuses.
-    """
+            `preprocessing.prepare` refuses."""
     prepared = prepare_validation(rig, logs, channels, flow_maps, fitted_on)
     prepared = replace(prepared, leans=tuple(leans))
     return run_validation(prepared, thresholds, progress)
@@ -128,8 +127,7 @@ class JudgedLog:
 class PreparedValidation:
     """The input of a validation, before anything is simulated; ``training`` are name and record of
     logs that the rig was fitted to, for the black box beside it, ``leans`` what its fit is
-    sensitive to, as in ``parameters.json``.
-    """
+    sensitive to, as in ``parameters.json``."""
 
     rig: Rig
     channels: tuple[str, ...]
@@ -161,8 +159,7 @@ def prepare_validation(
     sensors: Sequence[Sensor] = (),
 ) -> PreparedValidation:
     """Prepare the logs of a validation; arguments and errors as in `validate_rig`, and ``sensors``:
-    what is known of sensors and drivers, or estimated of each log by itself.
-    """
+    what is known of sensors and drivers, or estimated of each log by itself."""
     models = models_of(rig, logs, channels, flow_maps)
     names = numbered([name for name, _ in logs])
     judged = tuple(
@@ -188,8 +185,7 @@ def run_validation(
         prepared: the logs, the rig and what its fit left.
         thresholds, progress: as in `validate_rig`.
         workers: threads, 0 for one a core; the result does not depend on them.
-        diagnose: whether the residuals are asked for faults.
-    """
+        diagnose: whether the residuals are asked for faults."""
     required = thresholds or Thresholds()
 
     def judge(log: JudgedLog) -> LogResult:
@@ -250,8 +246,7 @@ def prepare_log(
         sensors: what is known of its sensors and drivers, or estimated.
 
     Raises:
-        InputError: one that `preprocessing.prepare` refuses, or no samples in ``scored``.
-    """
+        InputError: one that `preprocessing.prepare` refuses, or no samples in ``scored``."""
     try:
         log = JudgedLog(prepare(name, record, model, sensors), fitted, scored)
     except LogError as error:
@@ -272,8 +267,7 @@ def models_of(
     where: Callable[..., Mapping[str, Any]] = lambda *location: {},
 ) -> dict[str, Model]:
     """The model for each payload of the logs, by name, '' for none; arguments and errors as in
-    `validate_rig`, their place by ``where``.
-    """
+    `validate_rig`, their place by ``where``."""
     if not logs:
         raise InputError(message("validation.no_logs"))
     for index, (name, record) in enumerate(logs):
@@ -404,8 +398,7 @@ def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
 
 def _free(model: Model, record: Record, channels: Sequence[str]) -> list[str]:
     """The channels that a replay of the record has, or what stands for it, and that are not tied
-    to it.
-    """
+    to it."""
     tied = tied_words(record)
     return [
         channel

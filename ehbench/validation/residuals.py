@@ -45,8 +45,7 @@ class Pair(NamedTuple):
 
 def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
     """Both sides of a channel, None if the log cannot give it. Where a pressure or force was
-    recorded at the end of its sensor's range, the simulation ends there too.
-    """
+    recorded at the end of its sensor's range, the simulation ends there too."""
     recorded, shown = (column(item, channel, record) for item in (record, simulated))
     if recorded is None or shown is None:
         return None

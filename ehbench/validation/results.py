@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from ehbench.diagnosis import DOMINANT, Structure
 from ehbench.frequency_response.response import Curve
 from ehbench.preprocessing.observations import rings_clearly
-from ehbench.runs.rundir import read_json
 from ehbench.signals.series import Ringing
-from ehbench.vocabulary import InputError, message, quantity
+from ehbench.vocabulary import message, quantity
 from ehbench.vocabulary.terms import BEYOND
 
 
@@ -212,8 +209,6 @@ class Validation:
     ``reservations`` are messages on what speaks against its numbers though it follows the logs.
     """
 
-    __pydantic_config__ = ConfigDict(arbitrary_types_allowed=True)
-
     rig: str
     accepted: bool
     reasons: tuple[str, ...]
@@ -260,7 +255,7 @@ class Validation:
         return replace(self, accepted=accepted, reasons=reasons, reservations=reservations)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values for ``validation.json``; `read_validation` is the way back."""
+        """Plain values for ``validation.json``."""
         table: dict[str, Any] = asdict(self) | {"verdict": self.verdict}
         for log, result in zip(table["logs"], self.logs, strict=True):
             del log["series"]
@@ -290,19 +285,3 @@ def speaking_against(fit: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
     notes = [note for note in fit.get("warnings", ()) if "cause" in getattr(note, "fields", {})]
     of_logs = ({"sentence": note, "explains": note.fields.get("share", 0.0)} for note in notes)
     return (*of_logs, *fit.get("leans", ()))
-
-
-def read_validation(path: Path) -> Validation:
-    """The validation of a run folder or of a ``validation.json``, without its series.
-
-    Raises:
-        InputError: no such file, or not a validation.
-    """
-    path = path / "validation.json" if path.is_dir() else path
-    try:
-        return TypeAdapter(Validation).validate_python(read_json(path))
-    except ValidationError as error:
-        reason = error.errors()[0]
-        place = ".".join(map(str, reason["loc"]))
-        text = message("validation.no_validation", place=place, reason=reason["msg"])
-        raise InputError(text, file=path) from None

@@ -55,8 +55,7 @@ def sweeps_of(
         model: of the rig.
         cylinder: whose command and channels.
         pairs: channels recorded and simulated.
-        coherence: of the recording, from which a frequency counts.
-    """
+        coherence: of the recording, from which a frequency counts."""
     swept = _sweeping(record, model, cylinder)
     if swept is None:
         return []
@@ -83,8 +82,7 @@ def sweeps_of(
 
 def _sweeping(record: Record, model: Model, cylinder: str) -> tuple[str, slice] | None:
     """(the command of a cylinder that sweeps most, the samples over which it does), None if none
-    does: one that steps now and then has no spectrum to speak of.
-    """
+    does: one that steps now and then has no spectrum to speak of."""
     best: tuple[float, str, slice] | None = None
     for item, valve in model.rig.valves():
         channel = f"{cylinder}.{valve.name}.command"
@@ -154,8 +152,7 @@ def _sweep_of(command: str, channel: str, recorded: Response, simulated: Respons
 def _beyond(differences: np.ndarray, errors: np.ndarray) -> float:
     """Root mean square of differences, without what their standard errors make of it in 95 % of
     cases: for normal errors e, the mean of (d² − e²) scatters by √(2 Σ e⁴)/n, and as neighbours
-    share their windows by √NEIGHBOURS times that.
-    """
+    share their windows by √NEIGHBOURS times that."""
     scatter = math.sqrt(2.0 * NEIGHBOURS * float(np.sum(errors**4))) / errors.size
     chance = float(np.mean(errors**2)) + ONE_SIDED * scatter
     return math.sqrt(max(0.0, float(np.mean(differences**2)) - chance))

@@ -53,8 +53,7 @@ def transients_of(
     record: Record, model: Model, cylinder: str, pairs: Mapping[str, Pair]
 ) -> list[Transient]:
     """The ringing after each change of the cylinder's own commands, until any command changes
-    again.
-    """
+    again."""
     minimum = {f"{c.name}.{v.name}.command": least_change(v) for c, v in model.rig.valves()}
     names = [f"{valve}.command" for valve in model.layout.valves if f"{valve}.command" in record]
     given = np.column_stack([steps_only(record[name], minimum[name]) for name in names])
@@ -94,8 +93,7 @@ def transients_of(
 
 def steps_only(command: np.ndarray, span: float) -> np.ndarray:
     """A command that keeps its value until it has changed by more than ``span`` [V], so that noise
-    makes no steps.
-    """
+    makes no steps."""
     last, retained = command[0], np.empty_like(command)
     for i, value in enumerate(command.tolist()):
         if abs(value - last) > span:
@@ -121,8 +119,7 @@ def why_not_judged(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
     Args:
         t: of the window, while the command stands [s].
         y: what rings, shape (samples, channels).
-        result: the ringing in it.
-    """
+        result: the ringing in it."""
     if result.damping_ratio <= SETTINGS.sigmas * result.damping_ratio_std:
         return message("validation.grows", damping=result.damping_ratio)
     shape = math.sqrt(max(0.0, 1.0 - result.damping_ratio**2))

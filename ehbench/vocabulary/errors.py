@@ -17,8 +17,7 @@ class EhbenchError(Exception):
     The message is one sentence; ``file`` and ``line`` say where, ``hint`` what would be right, by
     default that of the catalogue. ``key`` and ``fields`` are those of a message of the catalogue.
     ``others`` are the mistakes that were seen with it. ``exit_code`` is what the command line
-    returns.
-    """
+    returns."""
 
     exit_code = 2
 
@@ -59,8 +58,7 @@ def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:
 
     Args:
         where: file and line, as `Recipe.at` gives them.
-        about: what goes before the message.
-    """
+        about: what goes before the message."""
     try:
         yield
     except InputError as error:

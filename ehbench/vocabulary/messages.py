@@ -4,8 +4,7 @@ The catalogue is the folder `messages` beside this file, a TOML file for each pa
 The key ``data.no_time`` is the entry ``no_time`` of ``data.toml``: a template of `str.format` with
 named fields, or a table with the template as ``text`` and what would be right as ``hint``. A
 note of ``level = "warning"`` is shown without -v: what was taken in place of data that are missing,
-and what keeps a rig from moving.
-"""
+and what keeps a rig from moving."""
 
 from __future__ import annotations
 
@@ -76,8 +75,7 @@ def message(key: str, /, **fields: Any) -> Message:
         fields: what the template names. Numbers are formatted by the template.
 
     Raises:
-        KeyError: no such entry, or a field that it names is missing.
-    """
+        KeyError: no such entry, or a field that it names is missing."""
     part, _, name = key.partition(".")
     entry = templates(part)[name]
     text, hint = (_NUMBERS.format(entry.get(name, ""), **fields) for name in ("text", "hint"))
@@ -101,8 +99,7 @@ def is_warning(note: str) -> bool:
 
 def ranked(messages: Iterable[Message]) -> list[Message]:
     """Messages of one file of the catalogue, each once, in the order of that file. An entry with
-    ``as`` ranks with the entry that it names; messages of one rank keep their order.
-    """
+    ``as`` ranks with the entry that it names; messages of one rank keep their order."""
 
     def place(item: Message) -> int:
         part, _, name = item.key.partition(".")

@@ -67,8 +67,7 @@ def quantity(channel: str) -> Quantity:
     """The row of a channel or field name: that of its last dotted word.
 
     Raises:
-        KeyError: no such row; the message says what may be meant.
-    """
+        KeyError: no such row; the message says what may be meant."""
     word = channel.rsplit(".", 1)[-1]
     if word not in VOCABULARY:
         raise KeyError(message("vocabulary.no_quantity", word=word, meant=meant(channel)))

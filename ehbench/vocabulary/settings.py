@@ -1,8 +1,7 @@
 """Numbers of a method, each with its unit, meaning and origin.
 
 A method keeps its numbers in one frozen dataclass whose fields are made by `setting`; the reference
-pages of the docs list them all.
-"""
+pages of the docs list them all."""
 
 from dataclasses import field, fields
 from typing import Any, NamedTuple
@@ -25,8 +24,7 @@ def setting(value: Any, unit: str, meaning: str, origin: str) -> Any:
         value: in SI.
         unit: SI, empty for a pure number.
         meaning: what it decides, in one sentence.
-        origin: a source, a measurement that anyone can repeat, or the reason for the choice.
-    """
+        origin: a source, a measurement that anyone can repeat, or the reason for the choice."""
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "origin": origin})
 
 

@@ -3,8 +3,7 @@ conversion to and from SI.
 
 A unit is made of words, products, quotients and small powers: ``m^3/(s*V*Pa^0.5)``, ``L/min/√bar``,
 ``kg·m²``. Nothing else of a text is read and nothing is evaluated. Pressures are gauge. Angles
-count in radians or in cycles; a unit that names neither, such as ``1/s``, fits both.
-"""
+count in radians or in cycles; a unit that names neither, such as ``1/s``, fits both."""
 
 from __future__ import annotations
 
@@ -73,8 +72,7 @@ class _Unit(NamedTuple):
         """This unit times a power of another.
 
         Raises:
-            KeyError: the other counts from a zero of its own.
-        """
+            KeyError: the other counts from a zero of its own."""
         if other.zero:
             raise KeyError
         # a division and a root round once where a negative or broken power rounds twice
@@ -112,8 +110,7 @@ def _product(text: str, words: dict[str, _Unit]) -> _Unit:
     """A product of words as one unit.
 
     Raises:
-        KeyError: a word that is no unit.
-    """
+        KeyError: a word that is no unit."""
     result, pieces = _ONE, list(_PIECE.finditer(text))
     for piece in pieces:
         part = words[piece["word"]] if piece["word"] else _product(piece["group"], words)
@@ -160,8 +157,7 @@ def factor(unit: str, si: str) -> float:
     """How many ``si`` one ``unit`` is, for units without offset.
 
     Raises:
-        UnitError: no unit, or not of that dimension.
-    """
+        UnitError: no unit, or not of that dimension."""
     result = _conversion(unit, si)
     if isinstance(result, Message):
         raise UnitError(result)
@@ -172,8 +168,7 @@ def product(first: str, second: str, si: str) -> float:
     """How many ``si`` one ``first`` times one ``second`` is: 1 of V/mA, mA and V.
 
     Raises:
-        UnitError: no units, or not of that dimension together.
-    """
+        UnitError: no units, or not of that dimension together."""
     each = [item.strip() if item.strip() not in _NO_UNIT else "1" for item in (first, second)]
     return factor("*".join(f"({item})" if item != "1" else item for item in each), si)
 
@@ -229,8 +224,7 @@ def split_number(text: str) -> tuple[float, str]:
     """``"0.625 V/mA"`` as (0.625, "V/mA"); the unit may be ''.
 
     Raises:
-        UnitError: it does not begin with a number.
-    """
+        UnitError: it does not begin with a number."""
     match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
     if not match or not math.isfinite(float(match[1])):
         raise UnitError(message("vocabulary.no_number_with_unit", text=shortened(text, 60)))
@@ -241,8 +235,7 @@ def to_si(value, unit: str, row: Quantity):
     """``value`` (number or array) in ``unit`` as SI of ``row``.
 
     Raises:
-        UnitError: unknown unit or wrong dimension; says which units would be right.
-    """
+        UnitError: unknown unit or wrong dimension; says which units would be right."""
     if unit.strip() == row.unit:
         return value
     result = _conversion(unit, row.unit)
@@ -261,8 +254,7 @@ def from_si(value, unit: str, row: Quantity):
     """SI ``value`` of ``row`` in ``unit``.
 
     Raises:
-        UnitError: no unit, or not of the row's dimension.
-    """
+        UnitError: no unit, or not of the row's dimension."""
     if unit == row.unit:
         return value
     result = _conversion(unit, row.unit)
@@ -276,8 +268,7 @@ def parse(text: str, row: Quantity) -> float:
     """``"1000 psi"`` as an SI number of ``row``, checked against the row's plausible range.
 
     Raises:
-        UnitError: no number, no unit, wrong unit, or a value that is surely a slip.
-    """
+        UnitError: no number, no unit, wrong unit, or a value that is surely a slip."""
     match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
     fields = {"text": shortened(text, 60), "name": row.name, "display": row.display}
     if not match:
@@ -304,8 +295,7 @@ def plausible(value: float, row: Quantity, shown: str) -> None:
     """Refuse an SI value outside the row's range.
 
     Raises:
-        UnitError: names the range in the row's display unit.
-    """
+        UnitError: names the range in the row's display unit."""
     if not row.lower <= value <= row.upper:
         low, high = (
             from_si(v, row.display, row) if math.isfinite(v) else v for v in (row.lower, row.upper)

@@ -47,8 +47,7 @@ def files(folder: Path) -> dict[str, bytes]:
 @pytest.mark.slow
 def test_a_wheel_finds_the_campaigns_that_ship(installed, tmp_path):
     """Every recipe and all data are in it, to the byte. The slide's campaign is checked with
-    kernels that run as Python: to compile them takes twenty seconds.
-    """
+    kernels that run as Python: to compile them takes twenty seconds."""
     code = (
         "from ehbench.app import inspection, starter\n"
         "print(starter.find_campaign('thesis'))\n"

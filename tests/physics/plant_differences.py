@@ -13,13 +13,7 @@ from ehbench.physics.arm import mass_matrix, work_size
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.tune.linear import LinearModel, part_states, states_of, with_delays
-from ehbench.tune.operating_point import (
-    Aim,
-    OperatingPoint,
-    equivalent,
-    operating_point,
-    state_of,
-)
+from ehbench.tune.operating_point import Aim, OperatingPoint, equivalent, operating_point, state_of
 from ehbench.vocabulary.codes import FUNCTIONS
 
 # steps of differences over states by what their names contain, of others 1e-4 V

@@ -13,10 +13,7 @@ from ehbench.plant.model import Model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.loop import dominant
 from ehbench.tune.operating_point import Aim, equivalent, operating_point, state_of
-from ehbench.vocabulary.codes import (
-    EXTEND_OVERRUNNING,
-    FUNCTIONS,
-)
+from ehbench.vocabulary.codes import EXTEND_OVERRUNNING, FUNCTIONS
 from tests.shared import refused, shipped
 
 MACHINES = [

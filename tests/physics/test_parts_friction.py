@@ -104,8 +104,7 @@ def test_bristles_lose_what_the_rod_gives_and_they_do_not_hold():
 
 def held_by_friction(law: str, degrees: float) -> tuple[float, np.ndarray, np.ndarray]:
     """(force of the tank pressure [N], strokes [m], last states) of a slide on a slope whose oil
-    leaks away, so that nothing but friction holds it.
-    """
+    leaks away, so that nothing but friction holds it."""
     plain = rig_with(law).as_toml()
     plain["mechanism"]["incline"] = f"{degrees} deg"
     for cylinder in plain["cylinder"]:

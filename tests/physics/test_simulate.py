@@ -83,8 +83,7 @@ def test_valves_that_arrive_stay_without_subnormal_tails(arm):
 @pytest.mark.parametrize("payload", [True, False])
 def test_replay_of_a_simulation_is_that_simulation(rig, payload):
     """The start is made of means of the recording, equal to trim but for rounding, which may
-    grow as the machine moves: 1e-7 of each range.
-    """
+    grow as the machine moves: 1e-7 of each range."""
     load = next(iter(rig.payload)) if payload else None
     made = simulate(rig, step_of(rig), 1.0, payload=load)
     again = Model.of(rig, payload=load).replay(made)

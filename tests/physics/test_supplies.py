@@ -55,8 +55,7 @@ def test_the_pressure_follows_the_load_with_its_lag(sensing):
 
 def test_a_spool_that_has_all_but_closed_senses_nothing():
     """The line's oil stays as it is once no more than a trickle would reach it, whatever the steps:
-    felt to the last it rose by 2.1 bar in chosen ones.
-    """
+    felt to the last it rose by 2.1 bar in chosen ones."""
     command = np.where((np.arange(1501) >= 100) & (np.arange(1501) < 500), 2.0, 0.0)
     press = {"posture": {"press": "50 mm"}}
     chosen, fine = (

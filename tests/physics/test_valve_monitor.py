@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ehbench.config.recipe import (
-    Fault,
-    MachineChange,
-    Motion,
-    TrialRecipe,
-    load_recipe,
-)
+from ehbench.config.recipe import Fault, MachineChange, Motion, TrialRecipe, load_recipe
 from ehbench.config.recipe.trial import Controller, OtherSupply
 from ehbench.control.sensor_checks import RESIDUALS, SCORES, Sensors, _score
 from ehbench.trial.preparation import prepare

@@ -71,8 +71,7 @@ def width(one):
 def test_means_tell_what_samples_tell(time):
     """The truth from a start far off, by means and by samples: apart by a fraction of the standard
     error, intervals alike within what their own estimate varies by (2 % by 10 draws of the noise
-    for the bulk modulus, some more for the damping).
-    """
+    for the bulk modulus, some more for the damping)."""
     whole, means = identify(logs(1, time), decimate=1), identify(logs(1, time))
     for name, truth in TRUTH.items():
         low, high = means[name].interval  # pyright: ignore[reportGeneralTypeIssues]

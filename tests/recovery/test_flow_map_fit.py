@@ -561,8 +561,7 @@ def close_commands(gap):
 
 def test_kinks_close_together_leave_the_penalty_its_digits():
     """The least eigenvalue is of bends far from them, however narrow their spans; smoothing that
-    the arithmetic cannot carry is no end of the fit. None is looked for there.
-    """
+    the arithmetic cannot carry is no end of the fit. None is looked for there."""
     least = [close_commands(gap)[0].spline().along_u.eigenvalues[1] for gap in (0.02, 0.005, 0.002)]
     np.testing.assert_allclose(least, least[0], rtol=1e-3)
     shape, cells = close_commands(0.02)

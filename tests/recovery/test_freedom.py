@@ -41,10 +41,7 @@ def test_a_compensators_drop_is_told_by_its_range(truth, start):
     """Below every drop of the logs it changes nothing, and is known to be so low."""
     made = simulate(compensated(truth), {"press.servo": pulses(801, 2.0)}, 0.8)
     given = FitOptions(
-        start={DROP: start, "bulk_modulus": 7e8},
-        lower={DROP: 2e4},
-        upper={DROP: 1.2e7},
-        workers=1,
+        start={DROP: start, "bulk_modulus": 7e8}, lower={DROP: 2e4}, upper={DROP: 1.2e7}, workers=1
     )
     fit = identify_hydraulics(
         compensated(truth), [("log", noisy(made, 1))], ["bulk_modulus", DROP], given
@@ -77,8 +74,7 @@ def test_a_damping_is_told_by_its_range_where_it_rings_on():
 def test_a_parameter_that_its_range_alone_tells_needs_no_other(truth):
     """A limit of the pump, looked for on a coarse grid alone from where it does nothing: one that
     the flow just reaches lies between two points of the grid, where it is found; of one that it
-    never reaches the range is told.
-    """
+    never reaches the range is told."""
     name = "supply.flow_limit"
     rig = shipped("slide_servo").with_values({name: truth})
     levels = np.repeat([0.0, 1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0, 0.0], 150)

@@ -176,8 +176,7 @@ def test_a_pair_that_only_works_together_is_told():
 
 def test_a_prior_is_shown_apart_from_the_data():
     """With every flow gain known to 3 % and one of them off by that, bulk modulus and damping come
-    right, which they do not with the gains held; a prior beside strong data changes nothing.
-    """
+    right, which they do not with the gains held; a prior beside strong data changes nothing."""
     machine, wrong = shipped("slide_servo"), "press.servo_supply_head.flow_gain"
     gains = {name: value for name, value in machine.parameters().items() if "flow_gain" in name}
     off = machine.with_values({wrong: 1.03 * float(gains[wrong])})

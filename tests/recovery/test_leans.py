@@ -69,8 +69,7 @@ def without_law(kind):
 
 def test_a_law_of_friction_that_the_rig_file_does_not_have_is_named():
     """The slide takes more force to start than to move: its Coulomb friction, which is fitted,
-    comes out too large.
-    """
+    comes out too large."""
     machine, lean = without_law("friction law")
     static, coulomb = (
         float(machine.parameters()[f"press.friction_{word}"]) for word in ("static", "coulomb")

@@ -33,8 +33,7 @@ def logs(
     """Up and down, down and up, of a drive that may give no more than a command [V].
 
     Slip lets the load sink from the first sample on, so the commands begin there: a start is the
-    mean of what is at rest.
-    """
+    mean of what is at rest."""
     made, rig = [], RIG if limit is None else driven_to(limit)
     first = 6.0 if limit is None else 0.6 * limit  # what is told of a limit alone, a gain might be
     stop, begin, end, samples = ends

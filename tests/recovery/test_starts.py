@@ -91,8 +91,7 @@ def test_a_rest_that_drifts_does_not_bias():
 
 def test_a_rest_that_creeps_tells_its_first_place():
     """The mean of a place that leakage lets creep is half of the creep off, in the same direction
-    in every log: it made the bulk modulus wrong by more than its interval.
-    """
+    in every log: it made the bulk modulus wrong by more than its interval."""
     leaky = shipped("boom_four_valve").with_values({"boom.leakage_internal": 1e-11})
     model = Model.of(leaky)
     table = model.rest_commands(401)

@@ -35,8 +35,7 @@ def test_plant_and_model_agree_on_equal_numbers(seed, wave):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("error", "verdict"),
-    [("", "accepted"), ("bulk modulus +20 %", "accepted with reservation")],
+    ("error", "verdict"), [("", "accepted"), ("bulk modulus +20 %", "accepted with reservation")]
 )
 def test_an_exact_model_is_accepted_and_a_wrong_one_is_not_plainly(error, verdict):
     outcome = judged(Trial(0, "steps", 1.0, error))

@@ -197,8 +197,7 @@ def test_what_promises_little_beside_the_best_is_not_tried():
 
 def test_the_error_of_what_is_left_is_of_the_difference_as_a_share_of_the_recipes(monkeypatch):
     """5 ± … and 0.6 of three windows: the differences are 72, 108 and 84 % of what the first
-    leaves.
-    """
+    leaves."""
     monkeypatch.setattr("ehbench.guidance.suggestions._Trials._begun", lambda _, item: item.setup)
     trials = object.__new__(_Trials)
     trials.spread, setup = {"v": 1e-9}, Setup(rig_of(), (), FitOptions())

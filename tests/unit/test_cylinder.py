@@ -6,12 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ehbench.parts.cylinder import (
-    CYLINDER,
-    VOLUME_MARGIN,
-    chamber_inflow,
-    chamber_oil,
-)
+from ehbench.parts.cylinder import CYLINDER, VOLUME_MARGIN, chamber_inflow, chamber_oil
 from ehbench.parts.end_stop import STOP_DISSIPATION, stop_force
 from ehbench.parts.nodes import NODE
 from ehbench.physics import cylinder

@@ -33,11 +33,7 @@ def hdf5(path: Path) -> READ:
         "scale in an array": (counts, {"scale_factor": [0.5], "add_offset": [-3]}, HALVES),
         "fill": (counts, {"_FillValue": np.int16(1000), "missing_value": np.int16(60)}, HOLES),
         "several missing": (counts, {"missing_value": np.array([60, 1000], "i2")}, HOLES),
-        "fill of floats": (
-            np.array([*COUNTS[:-2], 1e20, 1e20], "f4"),
-            {"_FillValue": 1e20},
-            HOLES,
-        ),
+        "fill of floats": (np.array([*COUNTS[:-2], 1e20, 1e20], "f4"), {"_FillValue": 1e20}, HOLES),
         "range": (counts, {"valid_range": np.array([0, 50], "i2")}, HOLES),
         "maximum": (counts, {"valid_max": np.int16(50), "valid_min": np.int16(0)}, HOLES),
         "unsigned": (

@@ -9,7 +9,7 @@ from ehbench.config.recipe import load_recipe
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.validation import PreparedValidation, prepare_log, read_validation, run_validation
+from ehbench.validation import PreparedValidation, prepare_log, run_validation
 from ehbench.validation.held_out import FittedSamples, _aligned, _sample_means, overlaps
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
@@ -180,10 +180,10 @@ def test_windows_of_one_file_fit_and_judge(undrawn, tmp_path):
     )
     assert load_recipe(judge).data[0].scored == (1.0, float("inf"))
     done = run(judge, Session(root=tmp_path / "reports"))
-    found = read_validation(done.folder)
-    assert [log.status for log in found.logs] == ["held_out", "fitted", "fitted"]
-    spans = [(one.start, one.stop) for log in found.logs for one in log.overlap]
+    found = done.json("validation")
+    assert [log["status"] for log in found["logs"]] == ["held_out", "fitted", "fitted"]
+    spans = [(one["start"], one["stop"]) for log in found["logs"] for one in log["overlap"]]
     assert spans == [pytest.approx((0.5, 1.0)), pytest.approx((0.0, 1.0), abs=0.01)]
-    assert any("TO ITS" in text.upper() and "0.5 … 1 s" in text for text in found.warnings)
-    reasons = "\n".join(found.reasons)
+    assert any("TO ITS" in text.upper() and "0.5 … 1 s" in text for text in found["warnings"])
+    reasons = "\n".join(found["reasons"])
     assert "copy" not in reasons

@@ -361,8 +361,7 @@ def test_a_calibration_point_is_the_mean_over_the_upper_half_of_its_drops(
 
 
 @pytest.mark.parametrize(
-    ("gains", "ratio"),
-    [((2e-8, None), 1.5), ((None, 1e-5), 3.0), ((None, None), 1.0)],
+    ("gains", "ratio"), [((2e-8, None), 1.5), ((None, 1e-5), 3.0), ((None, None), 1.0)]
 )
 def test_flows_are_held_against_the_gain_of_the_rig_file(gains, ratio):
     """Of 3e-5 m³/s a volt beyond 1 V at 1 MPa; shut readings and those without flow are no part."""
@@ -848,8 +847,7 @@ def test_a_measured_command_scatters_about_rest(sign):
 
 
 @pytest.mark.parametrize(
-    ("flow", "ratio"),
-    [(1e-4, None), (0.9e-6, None), (0.019, None), (0.022, 20.9)],
+    ("flow", "ratio"), [(1e-4, None), (0.9e-6, None), (0.019, None), (0.022, 20.9)]
 )
 def test_flows_far_from_what_the_supply_can_give_are_told(flow, ratio):
     """1 L/s: above twenty times nine of ten."""

@@ -43,8 +43,7 @@ def estimated(asked: Problem) -> tuple[State, Errors]:
 
 def joint(state: State, fixed: dict[int, float] | None = None, more: str = ""):
     """scipy's least squares of all parameters that are not ``fixed`` and both starts at once, with
-    the scales and the weight of the starts' priors of a state.
-    """
+    the scales and the weight of the starts' priors of a state."""
     size = np.array([state.scales["press.x"], state.scales["press.v"]])
     free = [i for i in range(len(state.theta)) if i not in (fixed or {})]
 

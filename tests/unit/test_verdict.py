@@ -15,12 +15,7 @@ from ehbench.diagnosis import Finding, Structure
 from ehbench.preprocessing.observations import noise_of
 from ehbench.signals import series
 from ehbench.validation.checks import _ringing_check, beyond_noise, checks_of, unrequested
-from ehbench.validation.judge import (
-    _reasons,
-    _unexplained,
-    prepare_validation,
-    run_validation,
-)
+from ehbench.validation.judge import _reasons, _unexplained, prepare_validation, run_validation
 from ehbench.validation.residuals import pair_of
 from ehbench.validation.results import (
     ChannelResult,
@@ -175,8 +170,7 @@ def test_one_window_in_which_a_sound_model_rings_beside_a_bend_does_not_reject()
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"carriage.damping": 9e4}, {"press.friction_coulomb": 1e4}, {"bulk_modulus": 3e10}],
+    "wrong", [{"carriage.damping": 9e4}, {"press.friction_coulomb": 1e4}, {"bulk_modulus": 3e10}]
 )
 def test_one_window_in_which_a_model_does_not_ring_rejects(wrong):
     """Damping, friction or oil far off, and one step in the log."""

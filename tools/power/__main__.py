@@ -1,6 +1,5 @@
 """``python -m tools.power [--rigs N] [--exact N] [--json FILE] [--write]``: a study that is stopped
-goes on with the outcomes in FILE.
-"""
+goes on with the outcomes in FILE."""
 
 from __future__ import annotations
 

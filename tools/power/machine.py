@@ -231,8 +231,7 @@ def test_of(machine: Machine, kind: str, rng: np.random.Generator) -> tuple[Test
     and below the supply: no oil flows back into the pump's line, whose pressure is constant here.
 
     Raises:
-        NotDriven: none does.
-    """
+        NotDriven: none does."""
     start, u = start_of(machine, rng), wave(kind, rng)
     size = rng.uniform(0.4, 0.7) * LARGEST
     for _ in range(12):

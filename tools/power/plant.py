@@ -123,8 +123,7 @@ def run(n, start, commands, tick, substeps):
             spool.
         commands: [V], held from each sample on, shape (samples, spools).
         tick: time between samples [s].
-        substeps: steps between samples.
-    """
+        substeps: steps between samples."""
     y = start.copy()
     out = np.empty((commands.shape[0], y.size))
     k = np.empty((4, y.size))

@@ -89,8 +89,7 @@ def closed_loop_log(
         seed: of motion and noise.
         payload: carried.
         seconds: that it lasts.
-        noise: of the position, in units of its NOISE.
-    """
+        noise: of the position, in units of its NOISE."""
     rng = np.random.default_rng(seed)
     desired = reference(case, seconds, rng)
     model = Model.of(rigs(case)[1], None, payload)

@@ -2,8 +2,7 @@
 what stopped a trial and how long after the fault, or how far the true stroke was from the desired.
 
 ehbench reproduce faults --out DIR
-python -m tools.studies.fault_table DIR/01_single
-"""
+python -m tools.studies.fault_table DIR/01_single"""
 
 from __future__ import annotations
 

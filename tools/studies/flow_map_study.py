@@ -80,8 +80,7 @@ def held(rng: np.random.Generator) -> tuple[list[float], list[float]]:
     """(share of the map that the intervals hold, median standard error over the flow) by band.
 
     Raises:
-        InsufficientData: the readings make no map.
-    """
+        InsufficientData: the readings make no map."""
     flow, deadband, rated = valve(rng)
     bars = np.geomspace(3.0, 150.0, int(rng.integers(5, 11)))
     grid = commands(rng, float(deadband(np.zeros(1))[0])), bars * BAR, np.arange(rng.integers(2, 4))

@@ -1,8 +1,7 @@
 """What becomes of trials on a served bench when something fails: how far the true stroke went, what
 stopped the trial, whether its log can be read. Same packets as over UDP, on a virtual clock.
 
-python -m tools.studies.link_study 10000     (two cores: a quarter of an hour)
-"""
+python -m tools.studies.link_study 10000     (two cores: a quarter of an hour)"""
 
 from __future__ import annotations
 

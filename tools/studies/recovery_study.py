@@ -9,8 +9,7 @@ python -m tools.studies.recovery_study slide_servo supply.flow_limit spool.dampi
 python -m tools.studies.recovery_study "slide, lugre" seeds=20   # as many draws of noise, one start
 
 Of what lies beside the truth stands where the noise alone would have it, in standard errors: by the
-sensitivities at the truth, all else known. Where the fit is as far off as that, it is the draw.
-"""
+sensitivities at the truth, all else known. Where the fit is as far off as that, it is the draw."""
 
 from __future__ import annotations
 
@@ -54,11 +53,7 @@ ARMS = {
         {"boom.hepc": 3.2, "boom.rect": 3.2},
         {"boom.repc": 3.2, "boom.hect": 2.6},
     ),
-    "thesis_arm_standard": (
-        {"swing.servo": 1.2, "stick.servo": -1.2, "boom.spool": 1.2},
-        {},
-        {},
-    ),
+    "thesis_arm_standard": ({"swing.servo": 1.2, "stick.servo": -1.2, "boom.spool": 1.2}, {}, {}),
 }
 # what a rig file gives as zero is, on trial, so many of: supply pressure times flow, and so on
 SEEN = 0.05
@@ -148,12 +143,7 @@ SEALS = {"friction_viscous": "300 N*s/m", "friction_coulomb": "200 N"}
 STRIBECK = {"friction_static": "400 N", "stribeck_speed": "20 mm/s"}
 BRISTLES = {"bristle_stiffness": "2000 N/mm", "bristle_damping": "8000 N*s/m"}
 LINES = [
-    {
-        "end": "head",
-        "volume": "0.4 L",
-        "resistance": "0.3 bar*min/L",
-        "bulk_modulus": "600 MPa",
-    },
+    {"end": "head", "volume": "0.4 L", "resistance": "0.3 bar*min/L", "bulk_modulus": "600 MPa"},
     {"end": "rod", "volume": "0.25 L", "orifice_gain": "15 L/min/bar^0.5"},
 ]
 FORCES = [
@@ -440,11 +430,7 @@ def tried(name: str, trial: Trial, seed: int = 7) -> Outcome:
 
 
 def drawn(
-    item: Bed,
-    rig: Rig,
-    built: Sequence[Record],
-    logs: Sequence[tuple[str, Record]],
-    trial: Trial,
+    item: Bed, rig: Rig, built: Sequence[Record], logs: Sequence[tuple[str, Record]], trial: Trial
 ) -> float:
     """Where the noise of the logs alone would have a parameter, in standard errors off its truth:
     ``Σ Jᵀe/σ² / √(Σ JᵀJ/σ²)`` by the sensitivities J at the truth, all else known."""

@@ -1,7 +1,6 @@
 """Trials of all shipped recipes on sound machines: how many a limit or the monitor stops.
 
-python -m tools.studies.sound_study 1000
-"""
+python -m tools.studies.sound_study 1000"""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """How often the residual questions name a built fault, and how often they cry at a sound model.
 
 python -m tools.studies.structure_study faults
-python -m tools.studies.structure_study sound 40      # seeds a rig, 200 logs in all
-"""
+python -m tools.studies.structure_study sound 40      # seeds a rig, 200 logs in all"""
 
 from __future__ import annotations
 

@@ -7,8 +7,7 @@ python -m tools.studies.suggestion_study slide_servo rounds=1      # nothing tri
 another
 python -m tools.studies.suggestion_study slide_servo seeds=3       # each on three draws of the
 noise
-python -m tools.studies.suggestion_study sound 40         # seeds a rig, 200 in all
-"""
+python -m tools.studies.suggestion_study sound 40         # seeds a rig, 200 in all"""
 
 from __future__ import annotations
 

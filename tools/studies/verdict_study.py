@@ -8,8 +8,7 @@ python -m tools.studies.verdict_study 50 slide_servo       # 50 draws of one, an
 `virtual_logs.DRIVES`
 
 Wrong models are judged on steps alone, and where the recording rings clearly. A silent check is one
-of a model that does not ring.
-"""
+of a model that does not ring."""
 
 from __future__ import annotations
 

@@ -77,8 +77,7 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
 
     Raises:
         InputError: something stands there already.
-        LogError: the file cannot be read.
-    """
+        LogError: the file cannot be read."""
     stem = path.name.partition(".")[0] or path.name
     out = out or Path(stem + ENDING)
     picture = out.with_name(out.name.removesuffix(".toml").removesuffix(".map") + ".map.svg")

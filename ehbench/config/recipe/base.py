@@ -33,8 +33,7 @@ class BesideFile(FileModel):
 class DataFile(FileModel):
     """A log to use: its path, the payload carried (else what the log's own meta says), constant
     forces on rods by the channel of a force of the rig, a window of its time, a note, files beside
-    it.
-    """
+    it."""
 
     path: str
     payload: str | None = None
@@ -65,8 +64,7 @@ ReplayedFiles = Annotated[
 
 class Recipe(FileModel):
     """What every recipe has. ``path`` is the recipe's own file; names of other files are relative
-    to it.
-    """
+    to it."""
 
     title: str = ""
     note: str = ""
@@ -95,8 +93,7 @@ class Recipe(FileModel):
         variable of the environment.
 
         Raises:
-            InputError: no file can have such a path, or a variable is not set.
-        """
+            InputError: no file can have such a path, or a variable is not set."""
         for variable in re.findall(r"\$(\w+)", name):
             if not os.environ.get(variable):
                 fields = {"name": shortened(name, 60), "variable": variable}
@@ -122,8 +119,7 @@ def dotted(raw: Any, entry_keys: Set[str] = frozenset()) -> Any:
 
     Args:
         entry_keys: keys of a table that is itself an entry, with values that are not all tables;
-            none where entries are plain values.
-    """
+            none where entries are plain values."""
     if not isinstance(raw, dict):
         return raw
     results: dict[str, Any] = {}

@@ -11,8 +11,7 @@ from ehbench.vocabulary.fields import FileModel, Q, Value
 
 class BenchCylinder(FileModel):
     """Friction of a cylinder of the virtual bench; what is not given follows from the rig's supply
-    and areas.
-    """
+    and areas."""
 
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] | None = None
     friction_static: Annotated[Value, Q("friction_static")] | None = None
@@ -55,8 +54,7 @@ class BenchEdge(BenchCurve):
 
 class BenchSensors(FileModel):
     """Sensors of a cylinder of the virtual bench (or of all: ``sensors.all``; of the lines:
-    ``sensors.supply``).
-    """
+    ``sensors.supply``)."""
 
     pressure_noise: Annotated[Value, Q("pressure")] | None = None
     pressure_offset: Annotated[Value, Q("pressure")] | None = None

@@ -10,8 +10,7 @@ from ehbench.vocabulary.fields import FileModel
 
 class TextSection(FileModel):
     """A section of a report in the user's own words; blank lines part paragraphs, lines that begin
-    with ``- `` make a list.
-    """
+    with ``- `` make a list."""
 
     title: str
     text: str

@@ -69,8 +69,7 @@ class MappedColumn(FileModel):
         """(gain, zero) with SI = gain·reading + zero; ``file_unit`` is the unit that the file says.
 
         Raises:
-            UnitError: no unit, or one that does not become the channel's.
-        """
+            UnitError: no unit, or one that does not become the channel's."""
         row = quantity(self.channel)
         if self.from_ is not None and self.to is not None:
             return _through(self.from_, self.to, self.unit or file_unit, row)
@@ -211,8 +210,7 @@ def load_columns(path: str | Path) -> ColumnMap:
     """The map of a file, with what it takes from others.
 
     Raises:
-        InputError: with file, line, key, value and the nearest valid key.
-    """
+        InputError: with file, line, key, value and the nearest valid key."""
     path = Path(path)
     table, text = read_toml(path)
     return whole_map(validated(Columns, table, text, path), path)
@@ -228,8 +226,7 @@ def whole_map(
         above: the files that took it, which it must not take in turn.
 
     Raises:
-        InputError: the file it names is wrong, or names this one.
-    """
+        InputError: the file it names is wrong, or names this one."""
     place = (path, table)
     if given.file is None:
         return ColumnMap(given, (place,))

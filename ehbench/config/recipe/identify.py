@@ -20,8 +20,7 @@ def _samples(given: object) -> object:
 
 class ComparedResponse(FileModel):
     """The frequency response that logs are compared by, in place of their samples: of a cylinder's
-    rate and pressures to a command that sweeps.
-    """
+    rate and pressures to a command that sweeps."""
 
     input: Channel
     segment: Annotated[Value, Q("duration")] | None = None
@@ -65,8 +64,7 @@ class HydraulicsRecipe(Recipe):
 
 class CalibrationPoint(FileModel):
     """A flow that a command is supposed to give, e.g. 2 gpm at 4 V, to be met within ``tolerance``
-    of that flow.
-    """
+    of that flow."""
 
     command: Annotated[Value, Q("command")]
     flow: Annotated[Value, Q("flow")]

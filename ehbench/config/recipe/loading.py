@@ -18,8 +18,7 @@ def load_rig(path: str | Path) -> Rig:
         rig.parameters()["bulk_modulus"]
 
     Raises:
-        InputError: with file, line, key, value and the nearest valid key.
-    """
+        InputError: with file, line, key, value and the nearest valid key."""
     path = Path(path)
     if path.is_dir():
         path = path / "rig.toml"
@@ -38,8 +37,7 @@ def _rig(text: str, path: Path) -> Rig:
 
 def recipe_kinds() -> dict[tuple[str, str | None], type[Recipe]]:
     """Every recipe model by its ``stage`` and ``what`` (None where the stage has one kind): all
-    subclasses of `Recipe` with a stage of their own, those of stages elsewhere once imported.
-    """
+    subclasses of `Recipe` with a stage of their own, those of stages elsewhere once imported."""
     results: dict[tuple[str, str | None], type[Recipe]] = {}
     waiting = Recipe.__subclasses__()
     while waiting:
@@ -54,8 +52,7 @@ def load_recipe(path: str | Path) -> Recipe:
     """The recipe of a TOML file, of the type its ``stage`` (and ``what``) names.
 
     Raises:
-        InputError: with file, line, key, value and the nearest valid key.
-    """
+        InputError: with file, line, key, value and the nearest valid key."""
     path = Path(path)
     table, text = read_toml(path)
     known = recipe_kinds()

@@ -16,8 +16,7 @@ WORDS = ("offset", "scale", "lag", "delay")
 def reading_row(channel: str, word: str) -> Quantity:
     """The vocabulary row of what may be wrong with a channel's sensor: that of the channel for its
     ``offset``, rows of their own for ``scale``, ``lag`` and ``delay``, which is negative of a
-    command that was written late.
-    """
+    command that was written late."""
     if word == "offset":
         return quantity(channel)
     if word == "delay" and channel.endswith(".command"):

@@ -65,8 +65,7 @@ class Spread(FileModel):
 class Span(FileModel):
     """What a key is swept over: ``values``, or ``low`` to ``high``: ``count`` of them evenly, or as
     the study's ``design`` fills it. ``relative`` and ``also`` as in `Spread`; ``log``: evenly in
-    the logarithm.
-    """
+    the logarithm."""
 
     values: tuple[Any, ...] = ()
     low: Number | None = None

@@ -101,8 +101,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """The table and the text of a TOML file.
 
     Raises:
-        InputError: no such file, not UTF-8, or not TOML, with the line.
-    """
+        InputError: no such file, not UTF-8, or not TOML, with the line."""
     text = read_text(path)
     return table_of(text, path), text
 
@@ -111,8 +110,7 @@ def read_text(path: Path) -> str:
     """The text of a TOML file.
 
     Raises:
-        InputError: no such file, not UTF-8, or empty.
-    """
+        InputError: no such file, not UTF-8, or empty."""
     try:
         data = read_bytes(path)
     except FileNotFoundError:
@@ -134,8 +132,7 @@ def table_of(text: str, path: Path) -> dict[str, Any]:
     """The table of a TOML file's text.
 
     Raises:
-        InputError: it is not TOML, with the line.
-    """
+        InputError: it is not TOML, with the line."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -169,8 +166,7 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
 
     Raises:
         InputError: with file, line, key, value and the nearest valid key; an unknown key first, and
-            the other mistakes with it.
-    """
+            the other mistakes with it."""
     errors: dict[Any, InputError] = {}  # by place: each kind that a table may be has its own
     try:
         try:
@@ -189,8 +185,7 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
 
 def _causes(mistakes: Sequence[Any]) -> list[Any]:
     """Those of pydantic's errors that follow from no other, unknown keys first: a list whose
-    entries are wrong is also too short, a key that is misspelt is missing.
-    """
+    entries are wrong is also too short, a key that is misspelt is missing."""
     unknown = [item for item in mistakes if item["type"] == "extra_forbidden"]
     follow = {item["loc"][:size] for item in mistakes for size in range(1, len(item["loc"]))}
     tables = {item["loc"][:-1] for item in unknown}

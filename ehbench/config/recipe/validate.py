@@ -77,8 +77,7 @@ class Thresholds(FileModel):
 
 class JudgedFile(ReplayedFile):
     """A log to judge on; the model runs from ``start`` on, and what it does from ``score_start`` to
-    ``score_stop`` counts.
-    """
+    ``score_stop`` counts."""
 
     score_start: Annotated[Value, Q("start")] | None = None
     score_stop: Annotated[Value, Q("stop")] | None = None
@@ -95,8 +94,7 @@ class JudgedFile(ReplayedFile):
 
 class Reference(FileModel):
     """A figure that others reached on the same recording, to stand beside this model's in the
-    report. It decides nothing.
-    """
+    report. It decides nothing."""
 
     name: str = Field(min_length=1)
     channel: Channel

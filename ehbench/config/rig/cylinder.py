@@ -73,8 +73,7 @@ class Force(FileModel):
 
 class Cylinder(FileModel):
     """A cylinder, the joint it drives, its oil volumes, losses, valves and the edges that have no
-    command. Areas, or bore and rod diameters.
-    """
+    command. Areas, or bore and rod diameters."""
 
     name: Name
     joint: str

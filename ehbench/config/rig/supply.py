@@ -13,8 +13,7 @@ _HIGHEST_PRESSURE = 1.0e8  # [Pa]
 
 class Accumulator(FileModel):
     """A gas-charged accumulator on the supply line: ``p V_gas^n`` stays, p absolute; ``gas_volume``
-    at ``precharge``, without oil.
-    """
+    at ``precharge``, without oil."""
 
     gas_volume: Annotated[Value, Q("gas_volume")]
     precharge: Annotated[Value, Q("precharge")]
@@ -23,8 +22,7 @@ class Accumulator(FileModel):
 
 class LoadSensing(FileModel):
     """The pump's pressure follows the highest chamber that an open edge feeds: its pressure and
-    ``load_margin``, up to the supply's ``pressure``, with a first-order lag.
-    """
+    ``load_margin``, up to the supply's ``pressure``, with a first-order lag."""
 
     load_margin: Annotated[Value, Q("load_margin")]
     load_lag: Annotated[Value, Q("load_lag")] = Value(0.05)
@@ -32,8 +30,7 @@ class LoadSensing(FileModel):
 
 class LowRail(FileModel):
     """A second line, of constant ``rail_pressure``: an edge from the supply takes from it while
-    that is ``rail_margin`` or more above the chamber which it feeds.
-    """
+    that is ``rail_margin`` or more above the chamber which it feeds."""
 
     rail_pressure: Annotated[Value, Q("rail_pressure")]
     rail_margin: Annotated[Value, Q("rail_margin")]
@@ -43,8 +40,7 @@ class Supply(FileModel):
     """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
     falls. With an accumulator and no ``flow_limit`` it is a charge line, at ``pressure`` when a
     motion begins. With ``load_sensing`` the pressure follows the load, with ``low_rail`` there is a
-    second, lower one.
-    """
+    second, lower one."""
 
     pressure: Annotated[Value, Q("pressure")]
     tank_pressure: Annotated[Value, Q("tank_pressure")] = Value(0.0)
@@ -78,8 +74,7 @@ class Supply(FileModel):
         """Refuse a way to follow the load that does not go with the rest.
 
         Raises:
-            Misplaced: says what would.
-        """
+            Misplaced: says what would."""
         load, low = self.load_sensing, self.low_rail
         maximum = float(self.pressure) - float(self.tank_pressure)
         if load is not None and not 0.0 < float(load.load_margin) < maximum:

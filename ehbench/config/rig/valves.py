@@ -17,8 +17,7 @@ from ehbench.vocabulary.fields import FileModel, Q, Value
 
 class Rated(FileModel):
     """A point of a data sheet: at ``command`` so much ``flow`` passes an edge, with a ``drop``
-    across it where its law goes by the drop.
-    """
+    across it where its law goes by the drop."""
 
     flow: Annotated[Value, Q("flow")]
     command: Annotated[Value, Q("command")]
@@ -29,8 +28,7 @@ class Rated(FileModel):
         more of the command counting than ``widest`` [V]; for ``compensated_gain`` without the drop.
 
         Raises:
-            Misplaced: the drop is missing or too much, nothing flows, or the edge is shut.
-        """
+            Misplaced: the drop is missing or too much, nothing flows, or the edge is shut."""
         if (self.drop is None) == (name == "flow_gain"):
             words = "takes the drop across the edge" if self.drop is None else "goes by no drop"
             text = message("config.rated_flow_law", messages=words)
@@ -122,8 +120,7 @@ class Edge(LawFields, MeteringEdge):
     @property
     def onset(self) -> float:
         """Command [V], counted in the direction that opens it, from which on it passes oil: its
-        deadband; below zero by as much as its underlap.
-        """
+        deadband; below zero by as much as its underlap."""
         return float(self.deadband) - float(self.underlap or 0.0)
 
     @property
@@ -135,8 +132,7 @@ class Edge(LawFields, MeteringEdge):
 
 class UnmeteredEdge(FileModel):
     """An edge without a command: oil goes as the pressures have it. ``law`` is one of
-    `ehbench.parts.edge`, which brings keys of its own.
-    """
+    `ehbench.parts.edge`, which brings keys of its own."""
 
     name: Name
     from_: Literal["supply", "tank", "head", "rod"] = Field(alias="from")
@@ -168,8 +164,7 @@ def _must_be_whole(
 ) -> None:
     """Refuse an edge from a node to itself, without a number that its law needs, or with one of
     the keys ``of_laws`` that only another law takes. An edge on a map may keep the gain that it
-    had before it was measured.
-    """
+    had before it was measured."""
     if edge.from_ == edge.to:
         raise ValueError(message("config.edge_to_itself", to=edge.to))
     for need in needs:
@@ -188,8 +183,7 @@ class Valve(FileModel):
     """One command, its dynamics (names in the rig's ``dynamics``, from the command on, or none:
     opening follows at once) and its edges. Commands of a size beyond its ``drive_limit`` do what
     one of that size does. Of a spool ``overlap`` is added to the deadband of each edge, below zero
-    an underlap; at the command ``null`` it stands in its middle.
-    """
+    an underlap; at the command ``null`` it stands in its middle."""
 
     name: Name
     title: str = ""

@@ -51,8 +51,7 @@ def unpack(kind: Any, raw: bytes) -> Any:
     """A record of that kind from its bytes, behind opcode and length.
 
     Raises:
-        ValueError: it is longer or shorter than its bytes.
-    """
+        ValueError: it is longer or shorter than its bytes."""
     from mcap.data_stream import ReadDataStream
 
     stream = ReadDataStream(io.BytesIO(raw))

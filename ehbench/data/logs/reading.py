@@ -58,8 +58,7 @@ def _group(
     stream: Stream, first: int, path: Path, losses: list[str]
 ) -> tuple[str, np.ndarray, dict[str, np.ndarray]]:
     """One topic as (topic, t [s], channels in SI); appends to ``losses`` what the message numbers
-    show to be missing.
-    """
+    show to be missing."""
     channels: dict[str, np.ndarray] = {}
     for values, text in zip(stream.table[:, : stream.size], stream.labels.values()):
         name, unit = label_of(text, file=path)
@@ -88,8 +87,7 @@ def _merge(
     groups: list[tuple[str, np.ndarray, dict[str, np.ndarray]]], path: Path, losses: list[str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """All topics on the time base of the fastest, the slower ones held at their last value
-    (zero-order hold).
-    """
+    (zero-order hold)."""
 
     def period(t: np.ndarray) -> float:
         return float(np.median(np.diff(t))) if t.size > 1 else np.inf

@@ -45,8 +45,7 @@ SCATTERED = 8  # a pattern of messages that repeats less often is read message b
 @dataclass
 class Stream:
     """One channel while reading: message layout, labels of its fields (field → ``boom.p_head
-    [Pa]``), and the values found, shape (fields, room).
-    """
+    [Pa]``), and the values found, shape (fields, room)."""
 
     topic: str
     layout: np.dtype
@@ -164,8 +163,7 @@ class Salvage:
 
     def _skip(self, pos: int, why: str) -> int:
         """Note that the bytes from ``pos`` to the next chunk are lost; return where that chunk
-        begins.
-        """
+        begins."""
         data, size = self.data, len(self.data)
         nxt, at = size, pos
         while (at := data.find(b"\x04\x00\x00\x00zstd", at + 1)) >= 0:
@@ -287,8 +285,7 @@ class Salvage:
 
     def _run(self, body: bytes, pos: int) -> int:
         """Read messages from ``pos`` as long as one pattern of channels repeats; return where it
-        ends.
-        """
+        ends."""
         pattern: dict[int, tuple[int, int]] = {}
         at = pos
         while at < len(body) and body[at] == MESSAGE:
@@ -328,8 +325,7 @@ class Salvage:
 
     def _scattered(self, body: bytes, pos: int) -> int:
         """Read a stretch of messages from ``pos`` whose channels follow one another in no pattern;
-        return where it ends.
-        """
+        return where it ends."""
         places: dict[int, list[int]] = {}
         end = min(len(body), pos + (1 << 20))
         while pos < end and body[pos] == MESSAGE:
@@ -368,8 +364,7 @@ def _facts(data: bytes) -> dict[str, Any]:
     """A run's facts as a log holds them: lists of texts and a table of texts.
 
     Raises:
-        ValueError: they are anything else.
-    """
+        ValueError: they are anything else."""
     facts = json.loads(data)
     if not isinstance(facts, dict):
         raise ValueError

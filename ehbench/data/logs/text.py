@@ -16,8 +16,7 @@ def read_csv(path: Path, check: bool, window: Window | None = None) -> Record:
     """A CSV log whose header names channels with their units; arguments as in `ehbench.data.read`.
 
     Raises:
-        LogError, UnitError: with file, line and column.
-    """
+        LogError, UnitError: with file, line and column."""
     table = text_table(path, _EXAMPLE)
     where = {"file": path, "line": table.head}
     if all(number(cell) is not None for cell in table.header):

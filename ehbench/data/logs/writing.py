@@ -53,8 +53,7 @@ _LATEST = 9.2e9  # s; in ns this is the end of int64
 @dataclass(frozen=True)
 class _Topic:
     """One topic while writing: its channel id, the columns it takes, its schema and channel
-    records, its message layout.
-    """
+    records, its message layout."""
 
     id: int
     columns: np.ndarray
@@ -162,8 +161,7 @@ class LogWriter:
 
     def append(self, t: float, values: Sequence[float], topic: str | None = None) -> None:
         """Add one sample: ``values`` [SI] in the order of ``channels``, or of the topic's channels.
-        Errors as in `extend`.
-        """
+        Errors as in `extend`."""
         self.extend(np.array([t], dtype=float), np.asarray(values, dtype=float)[None, :], topic)
 
     def extend(self, t: np.ndarray, values: np.ndarray, topic: str | None = None) -> None:
@@ -177,8 +175,7 @@ class LogWriter:
 
         Raises:
             LogError: the time stands still, goes back or is not finite.
-            ValueError: the shapes do not match.
-        """
+            ValueError: the shapes do not match."""
         topics = list(self._topics.values()) if topic is None else [self._topics[topic]]
         t, values = np.asarray(t, dtype=float), np.asarray(values, dtype=float)
         width = len(self.channels) if topic is None else topics[0].columns.size

@@ -39,16 +39,12 @@ _EPOCHS = (
     (False, 1.0e8, 1.0e10, 0.0),
 )
 # nanoseconds a tick, first and last count of recordings, the year 1970
-_TICKS = (
-    (1, 10**18, 26 * 10**17, 0),
-    (100, 12 * 10**16, 17 * 10**16, 116444736 * 10**9),
-)
+_TICKS = ((1, 10**18, 26 * 10**17, 0), (100, 12 * 10**16, 17 * 10**16, 116444736 * 10**9))
 
 
 class _Stamp(NamedTuple):
     """A text as whole seconds and the rest, whether it has a date, and after how many seconds it
-    begins again, 0 for never.
-    """
+    begins again, 0 for never."""
 
     whole: int
     rest: float
@@ -62,8 +58,7 @@ def clock(cells: Iterable[str], order: str = "mdy") -> tuple[np.ndarray, float |
 
     Args:
         cells: dates with a time of day, times of day, minutes and seconds, durations.
-        order: of day, month and year where slashes are between them.
-    """
+        order: of day, month and year where slashes are between them."""
     results = [_stamp(cell.strip(), order) for cell in cells]
     known = next(filter(None, results), None)
     if known is None:
@@ -118,8 +113,7 @@ def time_of_day(cells: Iterable[str]) -> float | None:
 
 def since_1970(seconds: float, days: bool) -> float | None:
     """The wall clock [s since 1970] of a count [s] since the beginning of some calendar, which a
-    file may count in ``days``; None of one that counts from a beginning of its own.
-    """
+    file may count in ``days``; None of one that counts from a beginning of its own."""
     count = seconds / _DAY if days else seconds
     for of_days, low, high, zero in _EPOCHS:
         if of_days == days and low <= count < high:
@@ -130,8 +124,7 @@ def since_1970(seconds: float, days: bool) -> float | None:
 def nanoseconds(cells: Iterable[Any]) -> tuple[np.ndarray, float] | None:
     """(nanoseconds since the first, the first in seconds since 1970) of integers, or their text,
     that count nanoseconds since 1970, or as Windows does tenths of a microsecond since 1601; None
-    of others, and of such as go back.
-    """
+    of others, and of such as go back."""
     texts = [str(cell) for cell in cells]
     counts = [int(text) for text in texts if text.isdecimal() and len(text) in (18, 19)]
     if len(counts) != len(texts) or any(later < count for count, later in pairwise(counts)):
@@ -145,8 +138,7 @@ def nanoseconds(cells: Iterable[Any]) -> tuple[np.ndarray, float] | None:
 
 def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:
     """(seconds since the first, NaN where there is none; the first in seconds since 1970, None of
-    durations) of numpy's moments or durations.
-    """
+    durations) of numpy's moments or durations."""
     of_durations = values.dtype.kind == "m"
     whole = values.astype("timedelta64[ns]" if of_durations else "datetime64[ns]")
     known = ~np.isnat(whole)

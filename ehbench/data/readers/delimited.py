@@ -50,8 +50,7 @@ def tables_of(
     by its number.
 
     Raises:
-        LogError: no rows of numbers.
-    """
+        LogError: no rows of numbers."""
     marks = marks_of(lines, dialect)
     sections = sections_of(lines, marks, dialect)
     numbered = range(1, len(sections) + 1) if len(sections) > 1 else [""]
@@ -124,8 +123,7 @@ def _table_of(
 
 def _without_units(rows: list[str], marks: tuple[str, str]) -> tuple[list[str], dict[int, str]]:
     """(rows, unit by column) once the units that stand behind numbers are taken away: those of the
-    first row. A cell in another unit stays as it is.
-    """
+    first row. A cell in another unit stays as it is."""
     separator, decimal = marks
     first = enumerate(split(rows[0], separator) if separator != " " else ())
     units = {index: pair[1] for index, cell in first if (pair := measured(cell, decimal))}
@@ -142,8 +140,7 @@ def _without_units(rows: list[str], marks: tuple[str, str]) -> tuple[list[str], 
 
 def _dated(cells: dict[int, list[str]], kinds: Sequence[str]) -> tuple[str, ...]:
     """What each column holds, once the dates of a column without times of day stand before the
-    times of the first one without dates: they are words then, and ``cells`` has both together.
-    """
+    times of the first one without dates: they are words then, and ``cells`` has both together."""
     results = list(kinds)
     times = [index for index, kind in enumerate(kinds) if kind == "times"]
     dates = [index for index in times if all(is_date(cell) for cell in cells[index] if cell)]

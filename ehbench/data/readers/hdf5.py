@@ -79,8 +79,7 @@ def converted(values: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
     written and where a stored number is not valid.
 
     Raises:
-        LogError: such an attribute is no number.
-    """
+        LogError: such an attribute is no number."""
     keys = [key for key in ("scale_factor", "add_offset", *_CF_ATTRIBUTES) if key in attributes]
     unsigned = str(attributes.get("_Unsigned", "")).strip("b'\"").lower() == "true"
     if values.dtype.kind not in "fiu" or not (keys or unsigned):
@@ -113,8 +112,7 @@ def since(values: np.ndarray, unit: str) -> tuple[np.ndarray, str]:
     else (values, unit).
 
     Raises:
-        LogError: the date is not understood.
-    """
+        LogError: the date is not understood."""
     if (match := _SINCE.fullmatch(unit)) is None or values.dtype.kind not in "fiu":
         return values, unit
     word, date, time, zone = match.groups()

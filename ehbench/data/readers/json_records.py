@@ -18,8 +18,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The records of a file as a table; what is nested in one is a column ``outer.inner``.
 
     Raises:
-        LogError: no JSON, or other than records.
-    """
+        LogError: no JSON, or other than records."""
     text, encoding = text_of(path, dialect.encoding)
     content, losses = _content(text)
     frame = pd.DataFrame()

@@ -51,8 +51,7 @@ def read(path: Path, dialect: Dialect) -> Source:
 
 def _add(gathered: Gathered, place: str, name: str, value: Any) -> None:
     """Take a variable by its whole name, or the fields of a struct; ``place`` is the struct that it
-    is in.
-    """
+    is in."""
     if fields := getattr(value, "_fieldnames", None):
         if name.count(".") < _DEEPEST:
             content = {field: getattr(value, field) for field in fields}
@@ -72,8 +71,7 @@ def _add(gathered: Gathered, place: str, name: str, value: Any) -> None:
 
 def _add_struct(gathered: Gathered, place: str, name: str, content: Mapping[str, Any]) -> None:
     """Take the fields of a struct. One with a single vector of numbers is a channel: it stands
-    among those beside it, by its label and with its unit.
-    """
+    among those beside it, by its label and with its unit."""
     known = {field.lower(): item for field, item in content.items()}
 
     def text_of(words: Sequence[str]) -> str:

@@ -49,8 +49,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The groups of a measurement.
 
     Raises:
-        LogError: a damaged file with a channel outside the records of its group.
-    """
+        LogError: a damaged file with a channel outside the records of its group."""
     with MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
         refuse_beyond(16.0 * sum(sizes), "reading it")
@@ -84,8 +83,7 @@ def _has_formula(conversion, depth: int = DEPTH) -> bool:
     """Whether a conversion is a formula, or refers to one.
 
     asammdf hands a formula to numexpr, which evaluates it as Python code, and returns the raw
-    readings where that fails.
-    """
+    readings where that fails."""
     if conversion is None:
         return False
     if depth == 0 or getattr(conversion, "formula", None):
@@ -102,8 +100,7 @@ def _converted(samples: np.ndarray, conversion) -> np.ndarray:
 
     Raises:
         LogError: the formula is not understood, or one in a table of others; an integer that no
-            float is.
-    """
+            float is."""
     values = floats(samples)
     if conversion is None:
         return values
@@ -128,8 +125,7 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
     """(a channel group, sentences on the channels in it that are not read).
 
     Raises:
-        LogError: the time of the group is converted by a formula.
-    """
+        LogError: the time of the group is converted by a formula."""
     group, master = file.groups[index], file.masters_db.get(index)
     columns, unread, t = [], [], None
     if master is not None and _has_formula(group.channels[master].conversion):
@@ -179,8 +175,7 @@ def evaluate(text: str, values: np.ndarray) -> np.ndarray:
     """What a formula such as ``25*(X1-0.4)`` makes of readings, NaN where that is no finite number.
 
     Raises:
-        LogError: the formula has anything else in it than numbers, operators and functions.
-    """
+        LogError: the formula has anything else in it than numbers, operators and functions."""
     calls = set(re.findall(r"[a-z]+(?=\s*\()", text.lower()[:_FORMULA_LIMIT]))
     key = "log" if "log" in calls else "condition" if calls & {"if", "iif"} else "not_understood"
     refusal = LogError(message(f"data.formula_{key}", formula=text))

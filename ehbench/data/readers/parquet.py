@@ -30,8 +30,7 @@ def read(path: Path, dialect: Dialect) -> Source:
 
 def _values(field: pa.Field, chunks: pa.ChunkedArray) -> np.ndarray | None:
     """A column as numbers, moments or durations of numpy, NaN or NaT where it is null; None where
-    it is of something else.
-    """
+    it is of something else."""
     kind, types = chunks.type, pa.types
     extension = isinstance(kind, pa.BaseExtensionType)
     if extension or b"ARROW:extension:name" in (field.metadata or {}):

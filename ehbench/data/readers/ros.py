@@ -78,8 +78,7 @@ def _table(
     topic: str, rows: list[dict[str, float]], stamps: np.ndarray, zero: int, kind: str
 ) -> tuple[SourceTable, list[str]]:
     """(a topic's numbers by name, in the order of its time, NaN where a message has none; notes on
-    integers that no float is).
-    """
+    integers that no float is)."""
     order = np.argsort(stamps, kind="stable")
     names = dict.fromkeys(name for row in rows for name in row)
     units = _MESSAGE_UNITS.get(kind, {})
@@ -111,8 +110,7 @@ def _header(message: Any) -> int:
 
 def _numbers(message: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
     """(name, number) of all numbers in a message: those of a list by the names that the message has
-    for them (joints), else by their place.
-    """
+    for them (joints), else by their place."""
     labels = getattr(message, "name", None)
     labels = list(labels) if isinstance(labels, (list, tuple, np.ndarray)) else []
     for key in (field.name for field in fields(message)):

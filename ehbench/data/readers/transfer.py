@@ -35,8 +35,7 @@ def received(data: bytearray, path: Path) -> Source:
     """What `send` wrote of a file; its numbers stay where they are in ``data``.
 
     Raises:
-        LogError: the reader refused the file.
-    """
+        LogError: the reader refused the file."""
     size = int.from_bytes(data[:_WIDTH], "little")
     facts = json.loads(bytes(data[_WIDTH : _WIDTH + size]))
     rest = np.frombuffer(data, float, offset=_WIDTH + -(-size // _WIDTH) * _WIDTH)

@@ -71,9 +71,7 @@ def part_of(row: Mapping[str, Any]) -> str | None:
 
 
 def bars(
-    path: Path,
-    ledgers: Sequence[tuple[str, Ledger]],
-    bounds: Sequence[Sequence[Mapping[str, Any]]],
+    path: Path, ledgers: Sequence[tuple[str, Ledger]], bounds: Sequence[Sequence[Mapping[str, Any]]]
 ) -> None:
     """A stacked bar a trial, by its title and ledger: what its energy went into; what was given
     back lies left of zero. The bounds of its cylinders (``Bounds.as_json``) are marks on the bar.

@@ -108,8 +108,7 @@ def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
 
     Args:
         values: of the parameter, shape (n,), from the least to the largest.
-        poles: at each of them [rad/s], shape (n, m).
-    """
+        poles: at each of them [rad/s], shape (n, m)."""
     nothing = 1e-6  # share of the linear part that a polynomial may have besides it
     scale, maximum = float(np.median(np.abs(poles))) or 1.0, float(np.abs(values).max())
     if values.size < 3 or maximum == 0.0:

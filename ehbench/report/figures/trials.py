@@ -10,12 +10,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.cases import Case
-from ehbench.report.figures.trial import (
-    function_bars,
-    plot_channel,
-    plot_commands,
-    tracking_error,
-)
+from ehbench.report.figures.trial import function_bars, plot_channel, plot_commands, tracking_error
 from ehbench.report.style import (
     ACCENT,
     CYCLE,
@@ -165,8 +160,7 @@ def energy_map(
     unit: str,
 ) -> None:
     """For each controller its energies as shown, shape (loads, speeds), NaN where there is none:
-    in per cent how far each lies above the least that any takes there, which is its shade.
-    """
+    in per cent how far each lies above the least that any takes there, which is its shade."""
     minimum = np.fmin.reduce([energies for _, energies in panels])
     rows, darkest = math.ceil(len(panels) / 2), 1.0  # the share above the least that is darkest
     size = (7.4, rows * (0.42 * len(loads) + 0.75) + 0.5)

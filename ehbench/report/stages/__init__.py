@@ -38,8 +38,7 @@ SECTIONS: dict[str, StageReport] = {
 
 def report_of(run: Saved) -> StageReport:
     """How a run is drawn and reported; one of a kind this version does not know by its figures and
-    files.
-    """
+    files."""
 
     def section(run: Saved, pictures: Pictures) -> SectionContent:
         files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]

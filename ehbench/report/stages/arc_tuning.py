@@ -11,12 +11,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.stages.tuning import reached_demands, supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
 from ehbench.report.template import Template
-from ehbench.report.words import (
-    axis,
-    measure,
-    shown,
-    words,
-)
+from ehbench.report.words import axis, measure, shown, words
 from ehbench.vocabulary import message, plural
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")

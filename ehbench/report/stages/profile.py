@@ -78,9 +78,5 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 
 
 REPORT = StageReport(
-    "profile likelihood",
-    section,
-    draw,
-    shows=("Profile",),
-    numbers=("profile.json", ()),
+    "profile likelihood", section, draw, shows=("Profile",), numbers=("profile.json", ())
 )

@@ -173,11 +173,7 @@ def draw_bars(path: Path, rows: Sequence[Table], way: str) -> None:
 
 
 def draw_map(
-    path: Path,
-    names: Sequence[str],
-    ticks: Sequence[Sequence[str]],
-    z: np.ndarray,
-    label: str,
+    path: Path, names: Sequence[str], ticks: Sequence[Sequence[str]], z: np.ndarray, label: str
 ) -> None:
     """A map of a number over two keys, with the numbers in its cells; nan: none."""
     rows, columns = z.shape

@@ -52,8 +52,7 @@ class Sheet:
 
     def as_json(self, sheets: int) -> dict[str, Any]:
         """As a page of so many sheets reads it: panels by unit, arrays as base64 of little-endian
-        numbers.
-        """
+        numbers."""
         maximum = max(MOST // (sheets * len(self.curves)), 2000)
         panels: dict[str, list[dict[str, Any]]] = {}
         axes: dict[tuple[int, int, int], int] = {}
@@ -95,8 +94,7 @@ def page(
     what a log lost are added to ``losses``, by its name.
 
     Raises:
-        InputError: a file that is no log, map or run; nothing in it that can be drawn.
-    """
+        InputError: a file that is no log, map or run; nothing in it that can be drawn."""
     names = [Path(source).resolve().name for source in sources]
     if len(set(names)) < len(names):
         names = ["/".join(Path(source).resolve().parts[-2:]) for source in sources]
@@ -232,8 +230,7 @@ def place(sources: Sequence[Path], out: Path | None) -> Path:
     """Where the page goes: ``out``, or ``<name>.html`` in the current folder.
 
     Raises:
-        InputError: something stands there that is no page of this command.
-    """
+        InputError: something stands there that is no page of this command."""
     path = out or Path("_and_".join(Path(source).resolve().stem for source in sources) + ".html")
     if path.is_dir():
         raise InputError(message("report.out_is_folder"), file=path)
