@@ -236,7 +236,7 @@ def _on_beats(record: Record, machine: Machine) -> Record:
 
 def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     recipe, stop, rate = prepared.recipe, session.stop, session.machine.rate
-    warnings = [] if prepared.loop is None else list(prepared.loop.notes)
+    warnings = list(prepared.notes)
     for channel, count in zip(session.machine.channels, session.gaps.tolist(), strict=True):
         if count:
             warnings.append(message("trial.sensor_gaps", channel=channel, count=count))
