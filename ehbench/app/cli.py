@@ -70,9 +70,6 @@ RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=
 Out = Annotated[
     Path | None, _option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.")
 ]
-Quiet = Annotated[
-    bool, _option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout.")
-]
 Loud = Annotated[
     bool | None,
     _option(
@@ -378,17 +375,18 @@ def next_test(
     out: Annotated[
         Path | None, _option("--out", help="Write the first test as a trial recipe.")
     ] = None,
-    quiet: Quiet = False,
+    loud: Loud = None,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> None:
     """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
     from ehbench import workflow
 
-    _say_first(quiet)
-    with _session(quiet, out=out, allow_code=allow_code) as session:
+    says = Says(loud, as_json)
+    _say_first(says.quiet)
+    with _session(says.quiet, out=out, allow_code=allow_code) as session:
         result = workflow.next_test(run, name, session)
-    _say(result.answer(run, out), Says(False if quiet else None, as_json))
+    _say(result.answer(run, out), says)
 
 
 @app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")

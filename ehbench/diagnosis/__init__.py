@@ -11,12 +11,17 @@ from itertools import zip_longest
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
-from ehbench.diagnosis.recordings import Follows, disagreements, followed, misread
+from ehbench.diagnosis.recordings import Follows, disagreements, followed, is_astray, misread
+from ehbench.plant.build import Maps
+from ehbench.plant.foreign import model_of
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
+from ehbench.preprocessing.observations import commanded, payload_of
+from ehbench.preprocessing.time_base import evened
 from ehbench.vocabulary import EhbenchError, grouped, message
 
 __all__ = [
@@ -27,6 +32,7 @@ __all__ = [
     "Structure",
     "ask",
     "followed",
+    "likely_cause",
     "misread",
 ]
 
@@ -114,6 +120,23 @@ def ask(cases: Sequence[Case]) -> Structure:
         for item in filter(None, row):
             unique.setdefault((item.kind, item.about), item)
     return Structure((*findings, *unique.values()), tuple(follows))
+
+
+def likely_cause(name: str, record: Record, rig: Rig, maps: Maps | None) -> str:
+    """Why a log goes so far astray from its rig's model, in words: exchanged channels or another
+    payload, else what explains most of the residual. Empty where it does not, or nothing does.
+    """
+    try:
+        even, _ = evened(name, record)
+        model = model_of(rig, maps, payload_of(record))
+        case = Case(name, even, model, commanded(model, even), maps)
+        for note in misread(case):
+            return note.fields["cause"]
+        if not case.channels or not is_astray(case, case.left(case.simulated())):
+            return ""
+    except EhbenchError:  # too short, or it cannot be simulated
+        return ""
+    return next((item.sentence for item in ask([case]).causes), "")
 
 
 class _Search:

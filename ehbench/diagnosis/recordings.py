@@ -39,8 +39,7 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
         return
     case = replace(case, refined=False)
     left = _left(case)
-    spread = sum(y.size * (np.std(y) / case.scales[name]) ** 2 for name, y in case.recorded.items())
-    astray = left is None or total([left]) > ASTRAY**2 * spread
+    astray = left is None or is_astray(case, left)
     best = _best(case, left, (*_carrying(case), *(_exchanged(case) if astray else ())))
     if best is None and astray and before is not None:
         before = replace(before, refined=False)
@@ -51,6 +50,12 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
     cause = message(f"diagnosis.{key}", log=case.name, share=share, **fields)
     remedy = message(f"diagnosis.write_{key}", log=case.name, **fields)
     yield message("diagnosis.misread", cause=cause, remedy=remedy, share=share)
+
+
+def is_astray(case: Case, left: np.ndarray) -> bool:
+    """Whether what a model leaves of a log is a good part of what the log shows at all."""
+    spread = sum(y.size * (np.std(y) / case.scales[name]) ** 2 for name, y in case.recorded.items())
+    return total([left]) > ASTRAY**2 * float(spread)
 
 
 def _left(case: Case) -> np.ndarray | None:

@@ -13,6 +13,7 @@ import numpy as np
 import tomli_w
 
 from ehbench.data.record import Record
+from ehbench.diagnosis import likely_cause
 from ehbench.links.client import LinkMachine
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import QUALITY, measure
@@ -189,6 +190,7 @@ def run_remote(
     for key, count in (("late", late), ("unheeded", unheeded)):
         if count > QUALITY.late * ticks:
             warnings.append(message(f"links.{key}", share=count / ticks, most=QUALITY.late))
+    warnings += causes_of_stop(prepared, result)
     link = {
         "url": url,
         "mode": address.mode,
@@ -205,6 +207,18 @@ def run_remote(
     compared["stopping_distance"] = distances
     compared["tracking"] = dry.facts.measures.get("tracking", {})
     return Remote(result, link, compared, warnings)
+
+
+def causes_of_stop(prepared: Prepared, result: Result) -> list[str]:
+    """What a trial that stopped on a machine says of the cause, by the model of its rig: such as a
+    turned command or exchanged sensors. Nothing of one that ended, or did not move at all.
+    """
+    stop, told = result.facts.stop, result.facts.warnings
+    if stop is None or any(getattr(note, "key", "") == "trial.unmoved" for note in told):
+        return []
+    record = result.record.between(0.0, stop.t)
+    cause = likely_cause("the trial", record, prepared.rig, prepared.maps)
+    return [message("links.likely", cause=cause)] if cause else []
 
 
 def compare(dry: Record, real: Record) -> dict[str, Any]:

@@ -107,6 +107,11 @@ class Prepared:
     does: str
     seeds: Mapping[str, int] = field(default_factory=dict, kw_only=True)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is known of its controllers before its work."""
+        return ()
+
 
 @dataclass(frozen=True)
 class PreparedFromLogs(Prepared):

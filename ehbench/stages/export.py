@@ -113,6 +113,8 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
             times |= {Path(item.file).stem: f"{Path(item.file).stem}: {time}"} if time else {}
         rundir.write_json(folder / "export.json", {"written": rows})
         warnings = [item.note for item in written if item.note]
+        if prepared.recipe.parts != "model":
+            warnings += prepared.export.trial.notes
         here = [message("export.times", times="; ".join(times.values()))] if times else []
         return Work({"rig": state.rig.name, "warnings": warnings}, here=here)
 

@@ -74,6 +74,7 @@ class PreparedStudy(Prepared):
         resume: whether to go on with those of an interrupted study.
         journal: where they are stored until the study is complete.
         is_redesigned: whether controllers are designed on the rigs that are drawn.
+        said: of the controllers of the recipes that it repeats.
     """
 
     recipe: StudyRecipe
@@ -87,6 +88,7 @@ class PreparedStudy(Prepared):
     resume: bool = False
     journal: Path = Path("study.samples.jsonl")
     is_redesigned: bool = False
+    said: tuple[str, ...] = ()
 
 
 class StudyStage(Stage[StudyRecipe, PreparedStudy]):
@@ -155,6 +157,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             seeds={"study": recipe.seed},
             is_redesigned=any(item.key.startswith(f"{RIG}.") for item in design.drawn)
             and any(getattr(item.recipe, "controller", None) for _, item in prepared),
+            said=tuple(dict.fromkeys(note for _, item in prepared for note in item.notes)),
         )
 
     def versions(self, prepared: PreparedStudy) -> Versions:
@@ -205,7 +208,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         if prepared.is_redesigned:
             warnings.append(message("stages.redesigned"))
         bad = sum(counts[status] for status in ("failed", "refused", "late"))
-        facts = {"samples": design.size, "warnings": warnings}
+        facts = {"samples": design.size, "warnings": [*warnings, *prepared.said]}
         return Work(facts, code=INCOMPLETE if bad else DONE)
 
 

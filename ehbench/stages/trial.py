@@ -34,6 +34,10 @@ class PreparedOne(Prepared):
     ask: Callable[[str, str], str] | None = None
     live: Callable[[str], bool] | None = None
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return self.trial.notes
+
 
 class TrialStage(Stage[TrialRecipe, PreparedOne]):
     """`TrialRecipe`."""

@@ -29,6 +29,10 @@ class PreparedSet(Prepared):
     cases: list[Case]
     trials: list[Ready]
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(note for item in self.trials for note in item.notes))
+
 
 class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
     """`TrialSetRecipe`."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ehbench.config.recipe import TrialRecipe
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.config.recipe.trial import Controller as ChosenController
 from ehbench.config.rig import Rig
 from ehbench.control.functions import (
@@ -315,7 +315,7 @@ def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
 
 def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | None:
     """What the tune run says that a recipe names, from ``folder`` or, without one, from where the
-    recipe points.
+    recipe points; ``parameters`` [SI] are those of the rig that the run leaves.
 
     Raises:
         InputError: there is no ``tuning.json``.
@@ -329,16 +329,20 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
     if path.suffix != ".json":
         where = recipe.at(*controller_of(recipe).where, "gains")
         raise InputError(message("trial.gains_of_recipe", name=name), **where)
-    return read_json(path)
+    is_run = all(path.with_name(file).is_file() for file in ("run.json", "rig.toml"))
+    known = load_rig(path.parent).parameters() if is_run else {}
+    numbers = {name: float(value) for name, value in known.items()}
+    return read_json(path) | ({"parameters": numbers} if numbers else {})
 
 
 def not_as_tuned(
     recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
 ) -> tuple[Message, ...]:
-    """Notes where gains were tuned for another supply, tick or law than the trial's."""
+    """Notes where gains were tuned for another supply, rig, tick or law than the trial's."""
     if tuning is None:
         return ()
-    notes, tick, chosen = other_supply(rig, tuning), 1.0 / float(recipe.rate), recipe.controller
+    notes = (*other_supply(rig, tuning), *other_rig(rig, tuning))
+    tick, chosen = 1.0 / float(recipe.rate), recipe.controller
     if (tuned := tuning.get("tick")) is not None and _differ(tuned, tick):
         notes += (message("trial.other_tick", tuned=1e3 * tuned, tick=1e3 * tick),)
     if chosen is not None and chosen.kind is not None:
@@ -367,6 +371,25 @@ def other_supply(rig: Rig, tuning: Mapping[str, Any]) -> tuple[Message, ...]:
         changes.append(f"{name} {before} {unit}" + f" (here {now})" * other)
     supply = ", ".join([here["kind"], *changes])
     return (message("trial.other_supply", supply=supply),)
+
+
+def other_rig(rig: Rig, tuning: Mapping[str, Any]) -> tuple[Message, ...]:
+    """A note where gains were tuned on a rig of other numbers than the trial's, with the one that
+    differs most; those of the supply are in `other_supply`."""
+    tuned = tuning.get("parameters", {})
+    here = {name: float(value) for name, value in rig.parameters().items()}
+    apart: dict[str, float] = {}
+    for name in [*here, *(name for name in tuned if name not in here)] if tuned else ():
+        pair = tuned.get(name, math.nan), here.get(name, math.nan)
+        if name.removeprefix("supply.") not in rig.supply.facts() and _differ(*pair):
+            share = abs(pair[0] - pair[1]) / max(map(abs, pair))
+            apart[name] = math.inf if math.isnan(share) else share
+    if not apart:
+        return ()
+    name = max(apart, key=lambda name: apart[name])
+    numbers = {"tuned": tuned.get(name), "here": here.get(name)}
+    shown = {key: "none" if x is None else rig.shown(name, x, 5) for key, x in numbers.items()}
+    return (message("trial.other_rig", count=len(apart), name=name, **shown),)
 
 
 def _differ(item: Any, other: Any) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.data.record import Record
+from ehbench.diagnosis.recordings import STILL
 from ehbench.machines.protocol import Machine, static_flow_of
 from ehbench.parts.edge import edge_flows, edge_onset
 from ehbench.signals.series import ringing, rms, stretches_of
@@ -140,6 +141,20 @@ def function_measures(
         "changes": float(changed.sum()) / (tick * max(changed.size, 1)),
         "changes_at_rest": float((changed & rest).sum()) / (tick * max(int(rest.sum()), 1)),
     }
+
+
+def unmoved_measures(
+    t: np.ndarray, v: np.ndarray, v_desired: np.ndarray
+) -> dict[str, float] | None:
+    """For how long a cylinder that stood still was to move, ``duration`` [s], and its mean speed
+    ``desired`` [m/s], as in `short_measures`; None of one that moved."""
+    moving = v_desired != 0.0
+    lasted = float(t[1] - t[0]) * int(moving.sum())
+    if lasted < MEASURES.lasts:
+        return None
+    desired = float(np.mean(np.abs(v_desired[moving])))
+    reached = float(np.mean(v[moving] * np.sign(v_desired[moving])))
+    return {"duration": lasted, "desired": desired} if abs(reached) < STILL * desired else None
 
 
 def short_measures(

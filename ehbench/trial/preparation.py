@@ -161,6 +161,11 @@ class Prepared:
         """Length [s] where no limit stops it."""
         return float(self.t[-1])
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is said of its controllers and their tuning."""
+        return () if self.loop is None else self.loop.notes
+
     def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
         """True for the valves that go to rest without a ramp when a limit stopped the trial under a
         command [V]: those that only bring oil, so that no load is caught, and those that bring it

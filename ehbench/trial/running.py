@@ -20,6 +20,7 @@ from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.plant.build import links_of
 from ehbench.plant.model import Start
 from ehbench.plant.stiffness import short_steps
+from ehbench.preprocessing.observations import commanded
 from ehbench.trial.controllers import Compiled, controller_of, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
@@ -29,6 +30,7 @@ from ehbench.trial.measures import (
     short_measures,
     step_measures,
     tracking_measures,
+    unmoved_measures,
 )
 from ehbench.trial.operator import OperatorInput
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
@@ -236,7 +238,7 @@ def _on_beats(record: Record, machine: Machine) -> Record:
 
 def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     recipe, stop, rate = prepared.recipe, session.stop, session.machine.rate
-    warnings = [] if prepared.loop is None else list(prepared.loop.notes)
+    warnings = list(prepared.notes)
     for channel, count in zip(session.machine.channels, session.gaps.tolist(), strict=True):
         if count:
             warnings.append(message("trial.sensor_gaps", channel=channel, count=count))
@@ -264,7 +266,8 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
                 )
                 saturated = met.astype(int) & SATURATED > 0
                 known["short"] = short_measures(record.t[:rows], v, desired, saturated)
-            warnings += _trial_warnings(known, prepared.rig, item.cylinder)
+            unmoved = unmoved_of(record, item, rows) if measured else None
+            warnings += _trial_warnings(known, prepared.rig, item.cylinder, unmoved)
             warnings += _coarse_stroke(record, known, prepared.rig, item.cylinder)
             code = record.channels.get(f"{item.cylinder}.valve_fault", np.zeros(1))
             if code.any():
@@ -295,12 +298,26 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     )
 
 
-def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[Message]:
-    """Warnings of saturated valves, limit cycles and missing working functions."""
+def unmoved_of(record: Record, item: Driven, rows: int) -> dict[str, float] | None:
+    """`unmoved_measures` up to a row of a cylinder whose valves were commanded."""
+    if item.cylinder not in commanded(item.design.model, record):
+        return None
+    names = [f"{item.cylinder}.{name}" for name in ("v", "v_desired")]
+    return unmoved_measures(record.t[:rows], *(record[name][:rows] for name in names))
+
+
+def _trial_warnings(
+    measures: Mapping[str, Any], rig: Rig, cylinder: str, unmoved: Mapping[str, float] | None
+) -> list[Message]:
+    """Warnings of a cylinder that stood still, of saturated valves, limit cycles and missing
+    working functions."""
     warnings, known = [], {"cylinder": cylinder}
     short, cycle = measures.get("short"), measures["limit_cycle"]
     share = measures["limits"]["saturated"] if "short" in measures else 0.0
-    if short is not None and share > 0.0:
+    if unmoved is not None:
+        wanted = {"duration": unmoved["duration"], "desired": rig.shown("v", unmoved["desired"])}
+        warnings.append(message("trial.unmoved", **wanted, **known))
+    elif short is not None and share > 0.0:
         speeds = {name: rig.shown("v", short[name]) for name in ("reached", "desired")}
         since = {name: short[name] for name in ("duration", "start")}
         warnings.append(message("trial.saturated_short", share=share, **since, **speeds, **known))

@@ -37,10 +37,14 @@ class Message(str):
 
 
 class _Numbers(string.Formatter):
-    """`str.format`, but numbers below a million without an exponent, 110 and never 1.1e+02, and a
-    space before %, as before other units."""
+    """`str.format`, but numbers below a million without an exponent, 110 and never 1.1e+02, a
+    space before %, as before other units, and counts with their word: ``{count:= row}`` is
+    ``1 row`` or ``2 rows``, ``{count:= row is|rows are}`` has both."""
 
     def format_field(self, value: Any, spec: str) -> str:
+        if spec.startswith("= "):
+            first, _, others = spec[2:].partition("|")
+            return f"{value} {first if value == 1 else others or first + 's'}"
         text = super().format_field(value, spec)
         if spec.endswith("%"):
             return f"{text[:-1]} %"

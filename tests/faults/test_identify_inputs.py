@@ -377,7 +377,8 @@ def test_jitter_is_resampled_and_told(tmp_path):
 def test_too_few_samples_are_counted(count):
     short = [("log", crane().at(slice(count)))]
     for work in (lambda: identify(rig(), short, CRANE), lambda: validate_rig(rig(), short)):
-        refused(f"has only {count} samples", work)
+        error = refused("preprocessing.few_samples", work)
+        assert error.message.fields["count"] == count
 
 
 # --- sensors and starts ---

@@ -19,10 +19,11 @@ from ehbench.data import read
 from ehbench.runs.rundir import read_json
 from ehbench.sampling.cluster import Bundle, Cluster
 from ehbench.sampling.pools import POOLS, Processes, in_threads
+from ehbench.stages.base import write_rig
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from tests.settings import at
-from tests.shared import ROOT, refused
+from tests.shared import ROOT, refused, shipped
 
 pytestmark = pytest.mark.usefixtures("all_undrawn")
 QUICK = {"distributed.comm.timeouts.connect": 0.5}
@@ -391,3 +392,51 @@ measures = ["tracking.max_error"]
     outcome = workflow.run(tmp_path / "study.toml", workflow.Session(out=tmp_path / "run"))
     noted = [note.key for note in outcome.notes]
     assert noted == ["stages.redesigned"] * is_redesigned
+
+
+@pytest.mark.slow
+def test_gains_of_a_rig_of_other_numbers_are_noted_wherever_they_are_used(tmp_path):
+    """The trial, its study and its export; on the very rig there is no note."""
+    known = {"carriage.mass": 340.0, "bulk_modulus": 1e9, "supply.pressure": 1.3e7}
+    rig = shipped("slide_servo")
+    (tmp_path / "tuned").mkdir()
+    write_rig(tmp_path / "tuned", rig.with_values(known), None)
+    tuning = {"cylinder": "press", "feedback_gain": {"extend_resistive": 3e-12}, "washout": 5.0}
+    (tmp_path / "tuned" / "tuning.json").write_text(json.dumps(tuning))
+    (tmp_path / "tuned" / "run.json").write_text("{}")
+    text = """stage = "trial"
+rig = "{rig}"
+[motion]
+kind = "point_to_point"
+waypoints = ["60 mm", "62 mm"]
+speed = "50 mm/s"
+[controller]
+kind = "pressure_feedback"
+gains = "tuned/tuning.json"
+"""
+    (tmp_path / "same.toml").write_text(text.format(rig="tuned/rig.toml"))
+    (tmp_path / "trial.toml").write_text(text.format(rig=ROOT / "recipes/rigs/slide_servo.toml"))
+    study = """stage = "study"
+recipe = "trial.toml"
+samples = 1
+measures = ["tracking.max_error"]
+[draw]
+"recipe.motion.speed" = { low = "40 mm/s", high = "50 mm/s" }
+"""
+    (tmp_path / "study.toml").write_text(study)
+
+    def noted(work, name):
+        outcome = work(workflow.Session(out=tmp_path / name, unvalidated=True))
+        return [note for note in outcome.notes if note.key == "trial.other_rig"]
+
+    assert noted(lambda session: workflow.run(tmp_path / "same.toml", session), "same") == []
+    options = {"formats": ["matlab"]}
+    for name, work in {
+        "trial": lambda session: workflow.run(tmp_path / "trial.toml", session),
+        "study": lambda session: workflow.run(tmp_path / "study.toml", session),
+        "export": lambda session: workflow.export(tmp_path / "trial.toml", options, session),
+    }.items():
+        (note,) = noted(work, name)
+        # the shipped file has 250 kg and 900 MPa; the supply has a note of its own
+        assert note.fields["count"] == 2 and note.fields["name"] == "carriage.mass"
+        assert (note.fields["tuned"], note.fields["here"]) == ("340 kg", "250 kg")

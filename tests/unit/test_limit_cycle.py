@@ -5,7 +5,7 @@ import pytest
 
 from ehbench.trial import run_trial
 from ehbench.trial.limit_cycle import limit_cycle
-from ehbench.trial.measures import short_measures
+from ehbench.trial.measures import short_measures, unmoved_measures
 from tests.shared import cycle, shipped
 
 T = np.arange(8000) / 1000.0
@@ -110,3 +110,15 @@ def test_how_far_valves_at_their_end_let_a_cylinder_fall_behind():
     assert short_measures(t, desired, desired, at_end) is None  # nothing was missed
     assert short_measures(t, reached, desired, at_end & (t < 0.25)) is None  # a correction's
     assert short_measures(t, reached, desired, t >= 0.85) is None  # nothing was asked for
+
+
+def test_a_cylinder_that_stands_still_is_told_from_one_that_goes_slowly():
+    t = np.arange(1000) * 1e-3
+    desired = np.where(t < 0.3, -0.2, np.where(t < 0.6, 0.2, 0.0))
+    found = unmoved_measures(t, 0.01 * desired, desired)
+    assert found == pytest.approx({"duration": 0.6, "desired": 0.2})
+    assert unmoved_measures(t, np.full(1000, -0.001), desired) == found  # it sinks
+    assert unmoved_measures(t, 0.1 * desired, desired) is None
+    assert unmoved_measures(t, -desired, desired) is None  # the other way
+    assert unmoved_measures(t[:80], 0.0 * desired[:80], desired[:80]) is None  # it may be late
+    assert unmoved_measures(t, desired, 0.0 * desired) is None

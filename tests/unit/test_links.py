@@ -14,7 +14,14 @@ from ehbench.config.recipe import Fault, TrialRecipe
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import identify_hydraulics
-from ehbench.links.arming import estimated, exchanges_in, run_remote, stopping_distances, token_of
+from ehbench.links.arming import (
+    causes_of_stop,
+    estimated,
+    exchanges_in,
+    run_remote,
+    stopping_distances,
+    token_of,
+)
 from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
 from ehbench.links.layout import Layout, csv_text
@@ -618,6 +625,43 @@ def test_what_comes_after_a_stop_makes_no_tick_late(monkeypatch):
     assert stop.limit == "sample_age" and result.record.t[-1] > stop.t + 1.0
     # the limit is 20 ms: five samples of 4 ms, and that at which it was met
     assert link["late"] <= 6 and link["ticks"] == pytest.approx(250.0 * stop.t, abs=2.0)
+
+
+def test_a_stop_of_a_machine_that_goes_the_other_way_names_the_command(monkeypatch):
+    """And one that does not go at all is not said to be too slow, nor turned."""
+    near = {"limits": {"stroke_margin": "20 mm", "following_error": "10 mm"}}
+    ask = lambda about, token: token  # noqa: E731
+    for sign, key in ((-1.0, "links.likely"), (0.0, "trial.unmoved")):
+        item = ServedTarget(trial())
+        machine, tick = item.served.machine, item.served.machine.tick
+        monkeypatch.setattr(machine, "tick", lambda volts, tick=tick, k=sign: tick(k * volts))
+        monkeypatch.setattr(Address, "link", lambda self, layout=None, at=item: VirtualLink(at))
+        url = "udp://here:1?clock=virtual"
+        result, _, _, warnings = run_remote(trial("model", **near), url, ask)
+        assert result.facts.stop.limit == "following_error"
+        told = [*result.facts.warnings, *warnings]
+        assert [note.key for note in told] == [key]
+        if sign:
+            assert "command" in told[0].fields["cause"]
+            assert "press.servo" in told[0].fields["cause"]
+
+
+def test_a_stop_of_a_machine_with_exchanged_sensors_names_them():
+    ends = [UP.index(f"press.p_{side}") for side in ("head", "rod")]
+
+    def exchanged(numbers, machine):
+        numbers[ends] = numbers[ends[::-1]]
+        return numbers
+
+    limits = {"limits": {"stroke_margin": "20 mm", "speed_max": "95 mm/s"}}
+    prepared = trial("model", **limits)
+    for change, count in ((exchanged, 1), (None, 0)):
+        result, _, _ = over_link(trial("bench"), on_sample=change, **limits)
+        assert result.facts.stop.limit == "speed_max"
+        causes = causes_of_stop(prepared, result)
+        assert len(causes) == count
+        for cause in causes:
+            assert all(f"press.p_{side}" in cause.fields["cause"] for side in ("head", "rod"))
 
 
 def test_a_person_hears_of_a_stroke_that_no_sensor_gives(monkeypatch):

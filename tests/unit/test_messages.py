@@ -85,6 +85,16 @@ def test_numbers_below_a_million_have_no_exponent(value, shown):
     assert f"-{shown.split()[0]} ±" in drift
 
 
+def test_a_count_goes_with_its_word():
+    """An s, or both forms where that is not enough."""
+    drops = [message("flow_maps.few_drops", map="m", count=count) for count in range(3)]
+    assert [drop.split(" at ")[1] for drop in drops] == [
+        *("0 pressure drops", "1 pressure drop", "2 pressure drops")
+    ]
+    left = [message("data.samples_uncovered", count=count).split(" left")[0] for count in (1, 2)]
+    assert left == ["1 sample is", "2 samples are"]
+
+
 def test_a_share_is_written_with_a_space_before_its_sign():
     assert "82 % of v" in message("validation.unexplained", log="a", share=0.82, channel="v")
 

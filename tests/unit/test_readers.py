@@ -1,5 +1,6 @@
 """Files as the libraries of their formats write them are read for what stands in them."""
 
+import gzip
 import json
 import struct
 import sys
@@ -14,7 +15,7 @@ import pytest
 
 from ehbench.app.converting import convert
 from ehbench.app.inspection import check
-from ehbench.app.mapping import draft
+from ehbench.app.mapping import draft, guessed
 from ehbench.data import read, readers
 from ehbench.data.flowmeter import is_flowmeter
 from ehbench.data.readers import (
@@ -233,6 +234,85 @@ def test_what_another_program_must_convert_first_is_told(name, begins, key, tmp_
     keys = {"bus": "data.bus_frames", "old": "data.old_or_locked_workbook"}
     with refused(keys[key], LogError):
         open_source(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.mcap.gz", "a.mf4.gz", "a.parquet.gz", "a.xlsx.gz"])
+def test_a_binary_file_that_gzip_packed_is_to_be_unpacked(name, tmp_path):
+    (tmp_path / name).write_bytes(gzip.compress(b"\x89MCAP0\r\n" * 9))
+    with refused("data.packed", LogError):
+        open_source(tmp_path / name)
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"t,x\n0,1\n1,2\n2,4\n"))
+    assert open_source(tmp_path / "a.csv.gz").tables[0].size == 3
+
+
+ANNOTATED = """#group,false,false,true,true,false,false,true,true
+#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string
+#default,_result,,,,,,,
+,result,table,_start,_stop,_time,_value,_field,_measurement
+"""
+
+
+def long_rows(order, late=0.0):
+    """Rows (time [ms], name, value) of two signals, one after the other or in turns."""
+    names = ("p", "x")
+    each = [(n + late * (name == "x"), name, n + 7.5 * (name == "x")) for name in names for n in N]
+    return each if order == "blocks" else sorted(each, key=lambda row: (row[0], row[1]))
+
+
+N = range(40)
+
+
+@pytest.mark.parametrize("order", ["blocks", "turns"])
+@pytest.mark.parametrize("late", [0.0, 0.5])
+def test_a_value_in_each_row_becomes_a_column_for_each_name(order, late, tmp_path):
+    """As InfluxDB and data frames write them; signals of two clocks are two tables."""
+    rows = long_rows(order, late)
+    text = "time,signal,value\n" + "".join(f"{t / 1e3:.4f},{name},{y}\n" for t, name, y in rows)
+    (tmp_path / "long.csv").write_text(text)
+    day, begins = "2023-11-14T22:13:", "2023-11-14T22:13:20Z,2023-11-14T22:14:20Z"
+    text = ANNOTATED
+    for t, name, y in rows:
+        text += f",,{int(name == 'x')},{begins},{day}{20 + t / 1e3:07.4f}Z,{y},{name},ram\n"
+    (tmp_path / "influx.csv").write_text(text)
+    for file in ("long.csv", "influx.csv"):
+        tables = open_source(tmp_path / file).tables
+        assert len(tables) == 1 + bool(late)
+        found = {column.name: column for table in tables for column in table.columns}
+        assert found["p"].values.tolist() == [float(n) for n in N]
+        assert found["x"].values.tolist() == [n + 7.5 for n in N]
+        for table in tables:
+            steps = np.diff(table.columns[0].values)
+            assert steps == pytest.approx(np.full(39, 1e-3)) and table.lines is not None
+
+
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        ("time,state,p", lambda n: f"{n},{'on' if n % 9 > 4 else 'off'},{n % 7}"),
+        ("time,run,p,x", lambda n: f"{n % 20},{'A' if n < 20 else 'B'},{n % 7},{n}"),
+        ("drop,valve,flow", lambda n: f"{n % 20},{'A' if n < 20 else 'B'},{n % 7}"),
+    ],
+)
+def test_words_beside_signals_do_not_name_them(head, row, tmp_path):
+    (tmp_path / "a.csv").write_text(f"{head}\n" + "".join(f"{row(n)}\n" for n in N))
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert table.size == 40 and len(table.words) == 1
+    assert len(table.columns) == head.count(",")
+
+
+def test_an_oscilloscopes_letters_of_units(tmp_path):
+    """mS are milliseconds, and the V of CH1V is its unit."""
+    rows = "".join(f"{n}.5,{n}.25\n" for n in N)
+    (tmp_path / "a.csv").write_text("#CLOCK=10.00mS\nCH1V,CH2mV\n" + rows)
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert table.t is not None and np.diff(table.t) == pytest.approx(np.full(39, 0.01))
+    assert [column.known_unit for column in table.columns] == ["V", "mV"]
+    assert {guess.channel for guess in guessed(open_source(tmp_path / "a.csv"), None).values()} == {
+        ""
+    }
+    (tmp_path / "b.csv").write_text("Time(mS),CH1(V)\n" + "".join(f"{n},{n % 7}\n" for n in N))
+    guess = guessed(open_source(tmp_path / "b.csv"), None)["Time(mS)"]
+    assert (guess.channel, guess.unit, guess.certainty) == ("t", "ms", "certain")
 
 
 def test_titles_before_each_name_need_no_row_of_units(tmp_path):

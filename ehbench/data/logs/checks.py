@@ -15,6 +15,7 @@ LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
 
 SIDE_BY_SIDE = 16  # rows of a table that are scanned as one
 TIME_NAMES = ("t", "time", "zeit", "timestamp", "seconds", "sec")  # what a time may be called
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
 
 
 def check_record(

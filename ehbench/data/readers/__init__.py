@@ -15,7 +15,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, with_clock
+from ehbench.data.readers.table import (
+    Dialect,
+    Source,
+    SourceColumn,
+    SourceTable,
+    pivoted,
+    with_clock,
+)
 from ehbench.data.readers.transfer import received, send
 from ehbench.runtime.confined import Bounds, Ended, confined
 from ehbench.runtime.memory import SHARE, available
@@ -37,7 +44,7 @@ class Reader(NamedTuple):
     member: str = ""
 
 
-ZIP = b"PK\x03\x04"
+ZIP, GZIP = b"PK\x03\x04", b"\x1f\x8b"
 _BINARY = re.compile(rb"[\0-\x08\x0e-\x1f]")  # what no text holds, but for that of UTF-16
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 READERS = (
@@ -133,6 +140,8 @@ def reader_of(path: Path) -> Reader:
             text = message("data.unknown_archive", members=listed(members, 3))
             raise LogError(text, file=path)
     ends = [reader for reader in READERS if name.endswith(reader.suffixes)]
+    if head.startswith(GZIP) and ends and not {*ends} & {*READERS[:2]}:
+        raise LogError(message("data.packed", format=ends[0].name, path=path.name), file=path)
     both = [reader for reader in begins if reader in ends]
     is_text = head.startswith(_UTF_16) or not _BINARY.search(head)
     texts = [reader for reader in READERS[:2] if reader in ends] or READERS[:1]
@@ -160,7 +169,8 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         source = (_confined if reader.magic else _read)(reader, path, dialect or Dialect())
-    source = replace(source, tables=tuple(map(with_clock, source.tables)))
+    tables = (part for table in source.tables for part in pivoted(with_clock(table)))
+    source = replace(source, tables=tuple(tables))
     requested = dialect.table if dialect else None
     if requested is not None and len(source.tables) > 0 and source.tables[0].name:
         there = ", ".join(f"'{table.name}'" for table in source.tables)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, islice, zip_longest
 
-from ehbench.data.logs.checks import TIME_NAMES
+from ehbench.data.logs.checks import TIME_NAMES, TIME_UNITS
 from ehbench.data.readers.clock import is_time
 from ehbench.data.readers.table import Dialect, unit_in
 from ehbench.data.text import is_hole, measured, number, split
@@ -33,7 +33,7 @@ _RATE_HEADS = (
     *("abtastrate", "abtastfrequenz"),
 )
 _START_HEADS = ("x0", "hoffset", "start", "t0", "x origin", "xorigin")
-_TIME_NAMES, _TIME_UNITS = (*TIME_NAMES, "x_value"), ("s", "ms", "us", "ns", "min", "h", "d")
+_TIME_NAMES = (*TIME_NAMES, "x_value")
 _FACT = re.compile(r"([^:=]+)[:=](.*)")  # a title and what it says
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 # how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
@@ -198,7 +198,7 @@ def _clocked(layout: TextLayout, lines: Sequence[str], marks: tuple[str, str]) -
     """The layout with the clock of its rows, where the lines above say it and no column is one."""
     names, units = names_of(lines, layout, marks[0]), units_of(lines, layout, marks[0])
     for kind, name, unit in zip_longest(layout.kinds, names, units, fillvalue=""):
-        is_time = name.lower() in _TIME_NAMES or (unit or unit_in(name)) in _TIME_UNITS
+        is_time = name.lower() in _TIME_NAMES or (unit or unit_in(name)) in TIME_UNITS
         if kind == "times" or (kind == "numbers" and is_time):
             return layout
     lines = lines[: layout.first]
@@ -228,7 +228,7 @@ def _fact(
             known = {(number(text, decimal), of or unit) for text, of in pairs}
             if len(known) == 1 and (value := known.pop())[0] is not None:
                 try:
-                    return value[0] * factor(value[1], unit)
+                    return value[0] * factor(named_unit(value[1]) or value[1], unit)
                 except UnitError:
                     return None
     return None

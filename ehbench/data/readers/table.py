@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.data.logs.checks import TIME_NAMES, TIME_UNITS
 from ehbench.data.readers.clock import moments, nanoseconds
 from ehbench.data.record import floats
 from ehbench.data.text import is_hole
@@ -32,6 +33,7 @@ _UNIT_LAST = (
     # at the end of words only such as are hardly anything else
     rf"[\s_]({_PLAIN})$",
     r"^(?:t|time|zeit)[_/](m?s|us)$",
+    rf"(?i:^(?:ch|chan|channel|kanal|ai)[\s_]*\d+)({_PLAIN})$",  # CH1V, of an oscilloscope
 )
 _QUOTIENT = re.compile(rf"(?:^|\s)([^\W\d][^\s/]*)/({_PLAIN})$")  # of ISO 80000: p/bar
 _PER_SECOND = re.compile(r"[\s_](deg|rad|[cm]?m)_s$")
@@ -214,6 +216,49 @@ def with_clock(table: SourceTable) -> SourceTable:
         known = table.began if began is None else began
         return replace(table, columns=tuple(columns), began=known)
     return table
+
+
+def pivoted(table: SourceTable) -> tuple[SourceTable, ...]:
+    """A table of one value a row, which words beside it name, as one of a column for each name:
+    those of one time base stand in one table. Others as they are.
+    """
+    varying = [cells for cells in table.words.values() if len(set(cells)) > 1]
+    rows_of: dict[str, list[int]] = {}
+    for row, words in enumerate(zip(*varying, strict=True)):
+        rows_of.setdefault(" ".join(words), []).append(row)
+    rows = {name: np.array(those) for name, those in rows_of.items()}
+
+    def moves(column: SourceColumn, steps: Callable[[np.ndarray], bool]) -> list[bool]:
+        return [steps(np.diff(column.values[those])) for those in rows.values()]
+
+    def is_clock(column: SourceColumn) -> bool:
+        named = column.name.strip("_").lower() in TIME_NAMES or column.known_unit in TIME_UNITS
+        return named and all(moves(column, lambda steps: steps.size > 0 and steps.min() > 0.0))
+
+    def is_value(column: SourceColumn) -> bool:
+        return any(moves(column, lambda steps: bool(np.any(steps != 0.0))))
+
+    if not 2 <= len(rows) <= WIDEST or table.t is not None:
+        return (table,)
+    clocks = [column for column in table.columns if is_clock(column)]
+    values = [column for column in table.columns if column not in clocks and is_value(column)]
+    if not clocks or len(values) != 1 or values[0].doubt is not None:
+        return (table,)
+    called = values[0].name.strip("_").lower() == "value"
+    if not called and np.all(np.diff(clocks[0].values) > 0.0):  # words beside one signal
+        return (table,)
+    together: dict[bytes, list[str]] = {}
+    for name, those in rows.items():
+        together.setdefault(clocks[0].values[those].tobytes(), []).append(name)
+    results = []
+    for names in together.values():
+        first = rows[names[0]]
+        columns = (replace(values[0].taken(rows[name]), name=name) for name in names)
+        whole = replace(table, columns=(clocks[0].taken(first), *columns), words={})
+        lines = [table.lines[row] for row in first] if table.lines else None
+        label = table.name if len(together) == 1 else f"{table.name} {names[0]}".strip()
+        results.append(replace(whole, name=label, lines=lines))
+    return tuple(results)
 
 
 def column_names(names: Sequence[str]) -> list[str]:
