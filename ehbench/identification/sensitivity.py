@@ -71,7 +71,7 @@ class SensitivitySettings:
         0.2, "", "share of the fit's simulations that this may take", "what people would wait for"
     )
     quick: float = setting(
-        300.0, "", "simulations that a fit of fewer counts as", "it takes part of a second"
+        350.0, "", "simulations that a fit of fewer counts as", "it takes part of a second"
     )
     first: float = setting(
         0.6, "", "share of these that ask each row of one log", "the rest asks the best of all"

@@ -19,7 +19,7 @@ METHODS: Mapping[str, int] = {
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
     "diagnosis": 11,
-    "validation": 10,
+    "validation": 9,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it

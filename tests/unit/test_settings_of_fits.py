@@ -408,7 +408,7 @@ ROWS = [
     (basins.SETTINGS, "slack", slack, 1000.0),
     (sensitivity.SETTINGS, "effort", lambda: asked_rows(490), [59]),
     (sensitivity.SETTINGS, "first", lambda: asked_rows(510), [61, "freed"]),
-    (sensitivity.SETTINGS, "quick", lambda: asked_rows(1), [36]),
+    (sensitivity.SETTINGS, "quick", lambda: asked_rows(1), [42]),
     (simulator.SETTINGS, "moves", moves, (0.009, 0.011), [False, True]),
     (simulator.SETTINGS, "empty", emptied, (0.52, 0.48), [True, False]),
     (frequency_domain.SETTINGS, "known", known, (0.0, 0.5), [0.01, 0.5]),
