@@ -84,7 +84,7 @@ def nominal(payload):
     mass, com = float(link.mass), np.array(link.com.value)
     both = mass * com / (mass + payload)
     points = [(mass, com - both), (payload, -both)]
-    extra = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in points)
+    extra = np.sum([m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in points], axis=0)
     inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     worn = {"mass": mass + payload}
     worn |= {f"com_{axis}": x for axis, x in zip(link.com.axes, both, strict=True)}
