@@ -176,8 +176,8 @@ class Model:
             row = self.plant.cylinders[index]
             stroke = float(read_value(text, VOCABULARY["x"]))
             if not 0 <= stroke <= row.stroke:
-                ends = {"first": "0", "last": self.rig.text("x", row.stroke, 1)}
-                refusal = message("plant.outside_stroke", name=name, value=text, **ends)
+                last = self.rig.text("x", row.stroke, 1)
+                refusal = message("plant.beyond_stroke", name=name, value=text, last=last)
                 raise InputError(refusal) from None
             return float(joint_of(row, stroke))
 
