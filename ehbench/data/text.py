@@ -149,7 +149,7 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
             raise LogError(message("data.gzip_too_large", limit=maximum / 1e6), file=path)
         if not unpacker.eof:
             raise LogError(message("data.gzip_breaks_off"), file=path)
-    refuse_beyond(COPIES * len(data), "reading it")
+    refuse_beyond(COPIES * len(data))
     marked = [name for mark, name in _MARKS.items() if data.startswith(mark)]
     data = _PADDING.sub(b"", data)
     if not marked and b"\0" in data:  # every second byte of western text in UTF-16

@@ -40,11 +40,8 @@ class Inputs(NamedTuple):
             InputError: the model has a force that is played from a log.
         """
         if model.layout.played:
-            raise InputError(
-                f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, "
-                "and a machine on trial has none",
-                hint="give [[cylinder.force]] another kind, or replay a log",
-            )
+            fields = {"rig": model.rig.name, "force": model.layout.played[0]}
+            raise InputError(message("machines.played_force", **fields))
         low, high = model.plant.valves.lowest.copy(), model.plant.valves.highest.copy()
         return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
 

@@ -17,7 +17,7 @@ from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMaps, collect
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
-from ehbench.vocabulary import VOCABULARY, InputError, placed
+from ehbench.vocabulary import VOCABULARY, InputError, message, placed
 from ehbench.vocabulary.fields import Value, read_value
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
@@ -69,11 +69,8 @@ def varied(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine
     if recipe.on == "bench":
         return _bench(recipe, change, rig)
     if float(change.pressure_lag):
-        raise InputError(
-            "the sensors of the model are exact: it has no pressure_lag",
-            **recipe.at(*change.where, "pressure_lag"),
-            hint='take on = "bench"',
-        )
+        where = recipe.at(*change.where, "pressure_lag")
+        raise InputError(message("machines.exact_sensors"), **where)
     shift = float(change.deadband)
     if isinstance(maps, FlowMaps) and shift != 0.0:  # their edges open later
         moved = ("deadband", "opening_knots", "hull_command", "std_command", "rising_to")

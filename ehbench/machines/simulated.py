@@ -19,7 +19,7 @@ from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, LATE, SCRATCH, Step, Way, over_tick, pace_of
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.compiled import bound, kernel
-from ehbench.vocabulary import SimulationError
+from ehbench.vocabulary import SimulationError, message
 
 NAME = "model"
 
@@ -171,7 +171,7 @@ class SimulatedMachine:
 
     def _must_be_finite(self) -> None:
         if not np.isfinite(self.state).all():
-            raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
+            raise SimulationError(message("machines.not_finite", machine="simulation"))
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""

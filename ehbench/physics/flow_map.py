@@ -24,7 +24,7 @@ import numpy as np
 
 from ehbench.runtime.compiled import allocating_kernel, kernel
 from ehbench.runtime.disk import DATA, read_bytes, write_text
-from ehbench.vocabulary import InputError
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.text import quoted
 
 FORMAT, VERSION = "ehbench flow maps", 1
@@ -238,7 +238,8 @@ class FlowMap:
 
     def __post_init__(self) -> None:
         def refuse(why: str) -> None:
-            raise InputError(f"the flow map of '{self.valve}' ({self.direction}) is damaged: {why}")
+            of = {"valve": self.valve, "direction": self.direction}
+            raise InputError(message("physics.map_damaged", why=why, **of))
 
         for f in fields(self):
             if f.type == "np.ndarray":
@@ -246,30 +247,30 @@ class FlowMap:
                 value.setflags(write=False)
                 object.__setattr__(self, f.name, value)
                 if not np.all(np.isfinite(value)):
-                    refuse(f"{f.name} holds a value that is not finite")
+                    refuse(message("physics.map_not_finite", name=f.name))
         knots, steps = self.opening_knots, self.increments
         ascends = knots.ndim == 1 and knots.size > 1 and bool(np.all(np.diff(knots) > 0))
         if not ascends or knots[0] != self.deadband or knots[0] < 0:
-            refuse("opening_knots must ascend from the deadband, which is 0 V or more")
+            refuse(message("physics.map_knots"))
         if steps.ndim != 2 or steps.shape[0] != knots.size or steps.shape[1] < 3:
-            refuse("increments must have one row for each opening knot and three columns or more")
+            refuse(message("physics.map_increments"))
         if not self.rising_to > knots[0]:
-            refuse("rising_to must lie above the deadband")
+            refuse(message("physics.map_rising"))
         if not np.all(steps[: self.rising + 1] > 0):
-            refuse("increments must be positive, or the flow would not increase with the command")
+            refuse(message("physics.map_falling"))
         if not (min(*self.leakage, self.leakage_std) >= 0 and np.all(np.isfinite(self.leakage))):
-            refuse("leakage must not be negative")
+            refuse(message("physics.map_negative_leakage"))
         if not 0 <= self.hysteresis < math.inf:
-            refuse("hysteresis must not be negative")
+            refuse(message("physics.map_negative_hysteresis"))
         if not math.isfinite(self.shift):
-            refuse("shift must be finite")
+            refuse(message("physics.map_infinite_shift"))
         if not all(0 < x < math.inf for x in (self.delta, self.drop_max, self.rated_flow)):
-            refuse("delta, drop_max and rated_flow must be positive")
+            refuse(message("physics.map_not_positive"))
         alike = self.hull_command.shape == self.hull_low.shape == self.hull_high.shape
         if not alike or not self.hull_command.size:
-            refuse("hull_command, hull_low and hull_high must have the same length")
+            refuse(message("physics.map_hull"))
         if self.std.shape != (self.std_command.size, self.std_root.size) or not self.std.size:
-            refuse("std must have one row for each std_command and one column for each std_root")
+            refuse(message("physics.map_std"))
 
     @property
     def command_max(self) -> float:
@@ -389,8 +390,8 @@ class FlowMap:
         names = [f.name for f in fields(cls)]
         wrong = sorted((set(names) ^ set(plain)) - _OPTIONAL)
         if wrong:
-            text = f"a flow map has the wrong fields: {', '.join(wrong)}"
-            raise InputError(text, hint="it has " + ", ".join(names))
+            names_of = {"wrong": ", ".join(wrong), "known": ", ".join(names)}
+            raise InputError(message("physics.map_fields", **names_of))
         try:
             numbers = {
                 name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")
@@ -404,7 +405,7 @@ class FlowMap:
                 texts["leakage"] = (float(plain["leakage"][0]), float(plain["leakage"][1]))
             return cls(**{**plain, **numbers, **texts, "deadband_interval": (low, high)})
         except (TypeError, ValueError) as error:
-            raise InputError(f"a flow map has a field of the wrong kind: {error}") from error
+            raise InputError(message("physics.map_kind", problem=error)) from error
 
 
 def _locate(grid: np.ndarray, x: np.ndarray):
@@ -487,8 +488,8 @@ class FlowMaps(Mapping):
             UnknownValve: no such valve; names those there are.
         """
         if name not in self._valves:
-            hint = "there are " + ", ".join(self._valves) if self._valves else "there are none"
-            raise UnknownValve(f"no flow map of '{name}'", file=self.file, hint=hint)
+            text = message("physics.no_map", name=name, known=", ".join(self._valves) or "none")
+            raise UnknownValve(text, file=self.file)
         return self._valves[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -519,15 +520,15 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
     for item in maps:
         sides = grouped.setdefault(item.valve, {})
         if item.direction not in ("forward", "reverse"):
-            text = f"'{item.valve}' has a map in direction '{item.direction}'"
-            raise InputError(text, file=file, hint="forward or reverse")
+            text = message("physics.map_direction", valve=item.valve, direction=item.direction)
+            raise InputError(text, file=file)
         if item.direction in sides:
-            raise InputError(f"'{item.valve}' has two {item.direction} maps", file=file)
+            text = message("physics.two_maps", valve=item.valve, direction=item.direction)
+            raise InputError(text, file=file)
         sides[item.direction] = item
     for name, sides in grouped.items():
         if "forward" not in sides:
-            hint = "one that is measured one way has it as forward: turn the signs of drop and flow"
-            raise InputError(f"'{name}' has a reverse map only", file=file, hint=hint)
+            raise InputError(message("physics.reverse_only", valve=name), file=file)
     each = {name: ValveMaps(on["forward"], on.get("reverse")) for name, on in grouped.items()}
     return FlowMaps(each, file)
 
@@ -560,23 +561,23 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
     """
     path = Path(path)
     path = path / FILE_NAME if path.is_dir() else path
-    hint = f"give the folder of an identify run, or its {FILE_NAME}"
+    hint = message("physics.give_maps", file=FILE_NAME)
     try:
         content = json.loads(read_bytes(path, DATA).decode("utf-8"))
     except FileNotFoundError:
-        raise InputError("there is no such file", file=path, hint=hint) from None
+        raise InputError(message("physics.no_file"), file=path, hint=hint) from None
     except RecursionError:
-        raise InputError("is nested too deeply", file=path, hint=hint) from None
+        raise InputError(message("physics.too_deep"), file=path, hint=hint) from None
     except json.JSONDecodeError as error:
-        text = f"is no JSON: {error.msg}"
+        text = message("physics.no_json", problem=error.msg)
         raise InputError(text, file=path, line=error.lineno, hint=hint) from None
     except ValueError:
-        raise InputError("is no JSON text", file=path, hint=hint) from None
+        raise InputError(message("physics.no_json_text"), file=path, hint=hint) from None
     known = isinstance(content, dict) and content.get("format") == FORMAT
     if not known or not isinstance(content.get("maps"), list):
-        raise InputError("holds no flow maps", file=path, hint=hint)
+        raise InputError(message("physics.no_maps"), file=path, hint=hint)
     if content.get("version") != VERSION:
-        text = f"has version {content.get('version')}, this program reads {VERSION}"
+        text = message("physics.map_version", version=content.get("version"), known=VERSION)
         raise InputError(text, file=path)
     try:
         return collect([FlowMap.from_dict(item) for item in content["maps"]], str(path))

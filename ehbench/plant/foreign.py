@@ -173,7 +173,7 @@ class FmuModel(Model):
             InputError: a recording that ties motions or the supply.
             FmuError: the FMU crashes, hangs, reports an error or numbers that are not finite."""
         if not record.even:
-            raise LogError(message("plant.fmu_uneven"))
+            raise LogError(message("plant.uneven"))
         if tied_words(record) or supplied(record):
             raise InputError(message("plant.fmu_tied"))
         start = start or self.rest_start(record)

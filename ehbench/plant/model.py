@@ -64,8 +64,7 @@ def finite(log: np.ndarray, tick: float) -> np.ndarray:
         SimulationError: the state stopped being finite; says when."""
     if not np.isfinite(log[-1]).all():
         bad = int(np.argmin(np.isfinite(log).all(axis=1)))
-        text = f"the simulation left finite numbers at t = {bad * tick:.4g} s"
-        raise SimulationError(text, hint="take a smaller step")
+        raise SimulationError(message("plant.not_finite", t=bad * tick))
     return log
 
 
@@ -151,8 +150,8 @@ class Model:
                 joint = names.joints.index(name)
                 index = next(iter(np.flatnonzero(plant.cylinders.joint == joint).tolist()), -1)
             else:
-                text = f"posture names '{name}', which is no cylinder or joint"
-                raise InputError(text, hint="there are " + ", ".join(names.cylinders))
+                known = ", ".join(names.cylinders)
+                raise InputError(message("plant.posture_of_nothing", name=name, known=known))
             given = isinstance(value, str)
             q[joint] = self._coordinate(index, name, value) if given else float(value)
             if index < 0:
@@ -162,8 +161,8 @@ class Model:
                 word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
                 ends = (low, high, q[joint])
                 first, last, at = (self.rig.text(word, number, decimals) for number in ends)
-                hint = f"the stroke allows {first.partition(' ')[0]} to {last}"
-                raise InputError(f"posture {name} = {at} lies outside the stroke", hint=hint)
+                fields = {"first": first.partition(" ")[0], "last": last, "value": at}
+                raise InputError(message("plant.outside_stroke", name=name, **fields))
         return q
 
     def _coordinate(self, index: int, name: str, text: str) -> float:
@@ -175,8 +174,8 @@ class Model:
             stroke = float(read_value(text, VOCABULARY["x"]))
             if not 0 <= stroke <= row.stroke:
                 last = self.rig.text("x", row.stroke, 1)
-                refusal = f"posture {name} = {text} lies outside the stroke"
-                raise InputError(refusal, hint=f"0 to {last}") from None
+                refusal = message("plant.beyond_stroke", name=name, value=text, last=last)
+                raise InputError(refusal) from None
             return float(joint_of(row, stroke))
 
     def trim(
@@ -206,9 +205,7 @@ class Model:
                 read_value(f"{low} Pa", VOCABULARY["p_head"])  # refuses no pressure
             x, lever, _ = linkage_of(row, q[row.joint])
             if abs(lever) < 1e-6:
-                raise SimulationError(
-                    f"cylinder '{name}' has no lever at this posture, so nothing holds the load"
-                )
+                raise SimulationError(message("plant.no_lever", cylinder=name))
             force = torque[row.joint] / lever
             if plant.forces.shape[0]:
                 force -= force_on(index, x, 0.0, played, plant)
@@ -233,10 +230,8 @@ class Model:
         if abs(speed) < CREEPS:
             return []
         way = "out" if speed > 0.0 else "in"
-        return [
-            f"{name} creeps {way} at {self.rig.shown('v', abs(speed), 2)} while its valves are at "
-            "rest, as they are open there: a controller that holds it leaves them so"
-        ]
+        shown = self.rig.shown("v", abs(speed), 2)
+        return [message("plant.creeps", cylinder=name, way=way, speed=shown)]
 
     def rest_commands(self, samples: int) -> np.ndarray:
         """Commands [V], shape (samples, valves + played), with valves at rest and no force [N]."""
@@ -453,8 +448,7 @@ class Model:
         Raises:
             LogError: uneven time."""
         if not record.even:
-            text = "the recording is not evenly sampled, so it cannot be replayed"
-            raise LogError(text, hint="resample it to one rate")
+            raise LogError(message("plant.uneven"))
         table = self.commands_of(record)
         plant = self.plant.at_pressures(start.supply, start.tank).commanded_before(table[0])
         if not tied_words(record) and not supplied(record):
@@ -556,12 +550,11 @@ def simulate(
     columns = (*model.layout.valves, *model.layout.played)
     for name, values in commands.items():
         if name not in columns:
-            hint = "it has " + ", ".join(columns)
-            raise InputError(f"rig '{rig.name}' has no valve '{name}'", hint=hint)
+            fields = {"rig": rig.name, "name": name, "known": ", ".join(columns)}
+            raise InputError(message("plant.no_valve", **fields))
         if np.ndim(values) and np.shape(values) != (samples,):
-            count = np.shape(values)[0]
-            text = f"the command of '{name}' has {count} values, the trial {samples} samples"
-            raise InputError(text)
+            fields = {"name": name, "count": np.shape(values)[0], "samples": samples}
+            raise InputError(message("plant.command_length", **fields))
         table[:, columns.index(name)] = values
     log = model.run(model.trim(model.posture(posture), None, table[0]), table, 1.0 / rate, step)
     return model.record(t, table, log, {"rig": rig.name, "payload": payload or "none"})

@@ -361,6 +361,7 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
                 yield message("preprocessing.stands_still", **fields)
             elif pushed and still:
                 yield message("preprocessing.stands_still_pushed", **fields)
+    yield from constant_lines(record, rig)
     names = [f"{c.name}.{word}" for c in rig.cylinder for word in ("p_head", "p_rod", *GAUGES)]
     for name in [*names, "p_supply"]:
         if name in record and (there := at_limit(record[name])).any():
@@ -387,6 +388,21 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
                 yield _turned("gauge_turned", name)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
+
+
+def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on pressures of supply and tank that stand while a cylinder is driven; one at the level
+    that the rig has is stated, and no reading."""
+    driven = (c.name for c in rig.cylinder if _travels(record, c) or _pushed(record, rig, c))
+    name, supply = next(driven, ""), rig.supply
+    lines = (("p_supply", supply.pressure), ("p_tank", supply.tank_pressure))
+    for channel, stated in lines if name else ():
+        if channel not in record or np.ptp(record[channel]) > 0.0:
+            continue
+        level = float(record[channel][0])
+        if not math.isclose(level, float(stated), rel_tol=1e-6):
+            shown = rig.shown(channel, level)
+            yield message("preprocessing.constant", channel=channel, level=shown, cylinder=name)
 
 
 def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:

@@ -2,7 +2,7 @@
 
 import os
 
-from ehbench.vocabulary import InputError
+from ehbench.vocabulary import InputError, message
 
 SHARE = 0.5  # of the memory that one piece of work may fill
 UNSAID = 8e9  # [bytes] where a system does not say how much memory it has
@@ -40,14 +40,16 @@ def available() -> float:
     return min(sizes)
 
 
-def refuse_beyond(needed: float, what: str) -> None:
-    """Refuse work that would fill more than SHARE of the memory; ``needed`` in bytes.
+def refuse_beyond(needed: float, what: str = "") -> None:
+    """Refuse work, by default to read a file, that would fill more than SHARE of the memory;
+    ``needed`` in bytes.
 
     Raises:
         InputError: says how much it would take."""
     if needed > SHARE * available():
-        hint = f"up to {SHARE * available() / 1e9:.3g} GB are taken here"
-        raise InputError(f"{what} would take {needed / 1e9:.3g} GB of memory", hint=hint)
+        sizes = {"needed": needed / 1e9, "maximum": SHARE * available() / 1e9}
+        work = what or message("runtime.reading")
+        raise InputError(message("runtime.memory", what=work, **sizes))
 
 
 def rows_of(seconds: float, rate: float) -> int:
@@ -57,6 +59,6 @@ def rows_of(seconds: float, rate: float) -> int:
         InputError: more than any trial has."""
     rows = seconds * rate
     if not rows <= MOST_ROWS:
-        hint = f"a trial has up to {MOST_ROWS:g}"
-        raise InputError(f"{seconds:.4g} s at {rate:g} Hz are {rows:.3g} samples", hint=hint)
+        fields = {"seconds": seconds, "rate": rate, "rows": rows, "most": MOST_ROWS}
+        raise InputError(message("runtime.rows", **fields))
     return round(rows)

@@ -121,7 +121,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         columns = len(design.columns) + len(recipe.measures) + 2
         needed = 8.0 * SETTINGS.cells * columns * design.size
         with inputs.notes.collected(), placed(recipe.at("samples")):
-            refuse_beyond(needed, f"a table of {design.size} samples")
+            refuse_beyond(needed, message("stages.table_of", count=design.size))
         plan = Plan(recipe, paths, runs, inputs.allow_code, inputs.unvalidated)
         if not inputs.notes.errors:
             _try_keys(recipe, plan, design, inputs)

@@ -144,17 +144,21 @@ def function_measures(
 
 
 def unmoved_measures(
-    t: np.ndarray, v: np.ndarray, v_desired: np.ndarray
+    t: np.ndarray, x: np.ndarray, x_desired: np.ndarray
 ) -> dict[str, float] | None:
     """For how long a cylinder that stood still was to move, ``duration`` [s], and its mean speed
-    ``desired`` [m/s], as in `short_measures`; None of one that moved."""
-    moving = v_desired != 0.0
-    lasted = float(t[1] - t[0]) * int(moving.sum())
-    if lasted < MEASURES.lasts:
+    ``desired`` [m/s] then; None of one that moved.
+
+    Args:
+        t: [s], evenly spaced, shape (samples,).
+        x: measured stroke [m].
+        x_desired: desired stroke [m].
+    """
+    steps = np.abs(np.diff(x_desired))
+    lasted = float(t[1] - t[0]) * int(np.count_nonzero(steps))
+    if lasted < MEASURES.lasts or np.ptp(x) >= STILL * np.ptp(x_desired):
         return None
-    desired = float(np.mean(np.abs(v_desired[moving])))
-    reached = float(np.mean(v[moving] * np.sign(v_desired[moving])))
-    return {"duration": lasted, "desired": desired} if abs(reached) < STILL * desired else None
+    return {"duration": lasted, "desired": float(steps.sum()) / lasted}
 
 
 def short_measures(

@@ -451,7 +451,8 @@ def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
     if recipe.limits != type(recipe.limits)():
         count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
-    refuse_beyond(8.0 * count * (_ROW + _EACH * parts + 3 * waves), f"a trial of {count} samples")
+    needed = 8.0 * count * (_ROW + _EACH * parts + 3 * waves)
+    refuse_beyond(needed, message("trial.trial_of", count=count))
     tick = 1.0 / float(recipe.rate)
     step = tick if recipe.step == "auto" else min(tick, float(recipe.step))
     steps = count * tick / step

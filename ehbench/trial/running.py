@@ -266,7 +266,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
                 )
                 saturated = met.astype(int) & SATURATED > 0
                 known["short"] = short_measures(record.t[:rows], v, desired, saturated)
-            unmoved = unmoved_of(record, item, rows) if measured else None
+            unmoved = unmoved_of(record, item, rows)
             warnings += _trial_warnings(known, prepared.rig, item.cylinder, unmoved)
             warnings += _coarse_stroke(record, known, prepared.rig, item.cylinder)
             code = record.channels.get(f"{item.cylinder}.valve_fault", np.zeros(1))
@@ -302,7 +302,7 @@ def unmoved_of(record: Record, item: Driven, rows: int) -> dict[str, float] | No
     """`unmoved_measures` up to a row of a cylinder whose valves were commanded."""
     if item.cylinder not in commanded(item.design.model, record):
         return None
-    names = [f"{item.cylinder}.{name}" for name in ("v", "v_desired")]
+    names = [f"{item.cylinder}.{name}" for name in ("x", "x_desired")]
     return unmoved_measures(record.t[:rows], *(record[name][:rows] for name in names))
 
 

@@ -390,6 +390,20 @@ def test_a_stuck_sensor_is_told(word):
     assert any(f"lift.{word} is " in text and "throughout" in text for text in taken(stuck)[1])
 
 
+@pytest.mark.parametrize(("level", "count"), [(0.0, 1), (3e5, 0)])
+def test_a_dead_sensor_of_the_tank_is_told(level, count):
+    """The tank of the rig stands at 3 bar, which a log may state."""
+    log = crane()
+    dead = replace(log, channels=log.channels | {"p_tank": np.full(log.t.size, level)})
+    notes = [note for note in taken(dead)[1] if note.key == "preprocessing.constant"]
+    assert len(notes) == count
+    assert all(note.fields["channel"] == "p_tank" for note in notes)
+    still = {name: np.full(log.t.size, y[0]) for name, y in dead.channels.items()}
+    assert not any(
+        note.key == "preprocessing.constant" for note in taken(replace(log, channels=still))[1]
+    )
+
+
 @pytest.mark.parametrize("word, key", [("p_rod", "constant"), ("qd", "stands_still_pushed")])
 def test_a_dead_sensor_is_told_of_a_log_without_positions(word, key):
     dead = changed(crane(), **{f"lift_{word}": np.zeros(1501)})

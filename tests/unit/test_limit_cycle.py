@@ -112,13 +112,15 @@ def test_how_far_valves_at_their_end_let_a_cylinder_fall_behind():
     assert short_measures(t, reached, desired, t >= 0.85) is None  # nothing was asked for
 
 
-def test_a_cylinder_that_stands_still_is_told_from_one_that_goes_slowly():
+def test_a_cylinder_that_stands_still_is_told_from_one_that_goes_elsewhere():
     t = np.arange(1000) * 1e-3
-    desired = np.where(t < 0.3, -0.2, np.where(t < 0.6, 0.2, 0.0))
-    found = unmoved_measures(t, 0.01 * desired, desired)
-    assert found == pytest.approx({"duration": 0.6, "desired": 0.2})
-    assert unmoved_measures(t, np.full(1000, -0.001), desired) == found  # it sinks
-    assert unmoved_measures(t, 0.1 * desired, desired) is None
-    assert unmoved_measures(t, -desired, desired) is None  # the other way
-    assert unmoved_measures(t[:80], 0.0 * desired[:80], desired[:80]) is None  # it may be late
-    assert unmoved_measures(t, desired, 0.0 * desired) is None
+    v = np.where(t < 0.3, -0.2, np.where(t < 0.6, 0.2, 0.0))
+    desired = 0.1 + np.cumsum(v) * 1e-3  # 60 mm in and out again
+    sinks = 0.1 - 2e-3 * t
+    found = unmoved_measures(t, sinks, desired)
+    assert found == pytest.approx({"duration": 0.6, "desired": 0.2}, rel=0.01)
+    assert unmoved_measures(t, 0.1 + 0.1 * (desired - 0.1), desired) is None  # slowly
+    assert unmoved_measures(t, 0.2 - desired, desired) is None  # the other way
+    assert unmoved_measures(t, 0.1 + 0.01 * np.sin(60.0 * t), desired) is None  # as it likes
+    assert unmoved_measures(t[:80], sinks[:80], desired[:80]) is None  # it may be late
+    assert unmoved_measures(t, sinks, np.full(1000, 0.1)) is None

@@ -28,7 +28,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The sheets that hold rows of numbers, as they were last calculated."""
     with zipfile.ZipFile(path) as packed:
         fixed = sum(item.file_size for item in packed.infolist())
-    refuse_beyond(_SWELLS * fixed, "reading it")
+    refuse_beyond(_SWELLS * fixed)
     # a path by its ending, an open file by its content
     file = path.open("rb")
     book: Any = load_workbook(file, read_only=True, data_only=True)

@@ -26,7 +26,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     with h5py.File(path, "r") as file:
         sets = list(_data_sets(file, "", {file.id}, losses))
         sizes = (float(item.size or 0) * max(item.dtype.itemsize, 8) for _, item in sets)
-        refuse_beyond(3.0 * sum(sizes), "reading it")
+        refuse_beyond(3.0 * sum(sizes))
         for name, item in sets:
             if item.is_virtual or item.external:
                 losses.append(message("data.in_other_file", name=name))

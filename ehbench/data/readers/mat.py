@@ -27,7 +27,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         sizes = [np.prod(shape, dtype=float) for _, shape, _ in whosmat(str(path))]
     except TypeError:  # it holds an object of MATLAB's own, such as a timetable
         sizes = [_PACKED * path.stat().st_size]
-    refuse_beyond(24.0 * sum(sizes), "reading it")
+    refuse_beyond(24.0 * sum(sizes))
     result = loadmat(str(path), squeeze_me=True, struct_as_record=False, appendmat=False)
     gathered = Gathered()
     for name, value in result.items():

@@ -52,7 +52,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         LogError: a damaged file with a channel outside the records of its group."""
     with MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
-        refuse_beyond(16.0 * sum(sizes), "reading it")
+        refuse_beyond(16.0 * sum(sizes))
         groups: list[Any] = file.groups
         for group in groups:  # asammdf reads and writes beyond the records, and dies
             head = group.channel_group

@@ -19,7 +19,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         gathered.add("", path.stem, np.load(path, allow_pickle=False))
         return Source(gathered.tables())
     with zipfile.ZipFile(path) as archive:
-        refuse_beyond(3.0 * sum(item.file_size for item in archive.infolist()), "reading it")
+        refuse_beyond(3.0 * sum(item.file_size for item in archive.infolist()))
     with np.load(path, allow_pickle=False) as arrays:
         for name in arrays.files:
             place, _, last = name.rpartition("/")

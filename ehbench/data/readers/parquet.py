@@ -15,7 +15,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The columns of a table; their units from the metadata of its fields."""
     with path.open("rb") as source, pq.ParquetFile(source) as file:
         rows, schema = file.metadata.num_rows, file.schema_arrow
-        refuse_beyond(24.0 * rows * len(schema), "reading it")
+        refuse_beyond(24.0 * rows * len(schema))
         table = file.read(use_threads=False)  # this is a child of a fork
     gathered = Gathered()
     for field, chunks in zip(schema, table.columns):

@@ -34,7 +34,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     kinds: dict[str, str] = {}
     unread: dict[str, str] = {}
     with Reader(path) as reader:
-        refuse_beyond(2000.0 * reader.message_count, "reading it")
+        refuse_beyond(2000.0 * reader.message_count)
         stores: dict[int, Any] = {}
         for connection, stamp, data in reader.messages():
             topic, kind = connection.topic, connection.msgtype

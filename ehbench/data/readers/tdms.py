@@ -51,7 +51,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     losses = []
     with TdmsFile.open(path) as file:
         channels = [(channel, group) for group in file.groups() for channel in group.channels()]
-        refuse_beyond(24.0 * sum(len(channel) for channel, _ in channels), "reading it")
+        refuse_beyond(24.0 * sum(len(channel) for channel, _ in channels))
         for channel, group in channels:
             if not len(channel):
                 continue

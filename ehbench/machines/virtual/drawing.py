@@ -28,7 +28,7 @@ from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
-from ehbench.vocabulary import VOCABULARY, InputError, placed
+from ehbench.vocabulary import VOCABULARY, InputError, message, placed
 from ehbench.vocabulary.fields import Value, read_value
 
 
@@ -90,12 +90,9 @@ def check_names(recipe: BenchRecipe, names: Layout) -> None:
     ):
         for name in getattr(recipe, kind):
             if name != "all" and name not in allowed:
-                there = "there are all, " + ", ".join(allowed)
-                raise InputError(
-                    f"{kind}.{name}: the rig has no such {kind}",
-                    **recipe.at(kind, name),
-                    hint=there,
-                )
+                fields = {"kind": kind, "name": name, "known": ", ".join(allowed)}
+                text = message("machines.no_part", **fields)
+                raise InputError(text, **recipe.at(kind, name))
 
 
 def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.record:
@@ -142,10 +139,7 @@ def _tune(
     def spool(flow: float) -> float:
         maximum = 4.0 * float(valve.command_max)
         if edge_flow(drop, row.sign * maximum, row, curves) < flow:
-            raise InputError(
-                f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} "
-                "m^3/s"
-            )
+            raise InputError(message("machines.calibration", valve=valve.name, flow=flow))
         return spool_for(flow, drop, maximum, row, curves)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
@@ -174,8 +168,7 @@ def build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     relief = math.inf if model.rig.supply.accumulator is not None else 1.15 * of.p_supply
     fluid.supply_relief = relief if recipe.supply_relief is None else float(recipe.supply_relief)
     if fluid.pump_lag > 0.0 and fluid.droop == 0.0:
-        hint = "give droop, or pump_lag = '0 s' for an ideal one"
-        raise InputError("a pump with a lag needs a droop", **recipe.at("droop"), hint=hint)
+        raise InputError(message("machines.needs_droop"), **recipe.at("droop"))
     ticks = float(recipe.delay) / tick
     omega, zeta = 2 * math.pi * float(recipe.velocity_cutoff), float(recipe.velocity_damping)
     return VirtualPlant(
@@ -219,10 +212,8 @@ def _bench_cylinders(of: _Seeded) -> np.recarray:
         row.friction_viscous = given("friction_viscous", damper or viscous * force)
         row.stribeck_speed = given("stribeck_speed", row.stribeck_speed or speed)
         if row.friction_static < row.friction_coulomb:
-            where = recipe.at("cylinder", name)
-            raise InputError(
-                f"cylinder.{name}: friction_static must not lie below friction_coulomb", **where
-            )
+            text = message("machines.static_below_coulomb", cylinder=name)
+            raise InputError(text, **recipe.at("cylinder", name))
         for key in ("leakage_internal", "leakage_head", "leakage_rod"):
             if f"{name}.{key}" not in recipe.truth and row[key] == 0.0:
                 typical = 1e-4 if key == "leakage_internal" else 1e-5

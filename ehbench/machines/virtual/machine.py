@@ -31,7 +31,7 @@ from ehbench.plant.layout import layout
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.compiled import bound, kernel
-from ehbench.vocabulary import InputError, SimulationError
+from ehbench.vocabulary import InputError, SimulationError, message
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
@@ -85,9 +85,7 @@ def bench_of(recipe: TrialRecipe, rig: Rig) -> tuple[Rig, BenchRecipe]:
         return rig, BenchRecipe(stage="bench", rig="")
     bench = load_recipe(recipe.file(recipe.bench))
     if not isinstance(bench, BenchRecipe):
-        raise InputError(
-            "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
-        )
+        raise InputError(message("machines.no_bench_file"), file=bench.path)
     bench_rig = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
     bench_rig = bench_rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     for what, mine, its in (
@@ -95,11 +93,9 @@ def bench_of(recipe: TrialRecipe, rig: Rig) -> tuple[Rig, BenchRecipe]:
         ("valves", layout(rig).valves, layout(bench_rig).valves),
     ):
         if mine != its:
-            raise InputError(
-                f"the bench of rig '{bench_rig.name}' has other {what} than rig '{rig.name}'",
-                **recipe.at("bench"),
-                hint=f"the bench has {', '.join(its)}",
-            )
+            fields = {"bench": bench_rig.name, "what": what, "rig": rig.name}
+            text = message("machines.other_rig", known=", ".join(its), **fields)
+            raise InputError(text, **recipe.at("bench"))
     return bench_rig, bench
 
 
@@ -257,9 +253,7 @@ class VirtualMachine:
 
     def _must_be_finite(self) -> None:
         if not np.isfinite(self.state).all():
-            raise SimulationError(
-                "the virtual bench left finite numbers", hint="take a smaller step"
-            )
+            raise SimulationError(message("machines.not_finite", machine=self.name))
 
     def mean_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
         """`static_flow` in the mean of commands that rise from rest and fall from twice
@@ -282,13 +276,12 @@ class VirtualMachine:
             InputError: no such edge.
         """
         if edge not in self.layout.edges:
-            raise InputError(
-                f"the bench has no edge '{edge}'", hint="it has " + ", ".join(self.layout.edges)
-            )
+            known = ", ".join(self.layout.edges)
+            raise InputError(message("machines.no_edge", edge=edge, known=known))
         index = self.layout.edges.index(edge)
         row = self.bench.edges[index]
         if row.law in (PUMP, CHECK):
-            raise InputError(f"edge '{edge}' of the bench does not meter, so no flowmeter reads it")
+            raise InputError(message("machines.no_metering", edge=edge))
         valve: Any = self.bench.valves[row.valve]
         before = self.commands.rest[row.valve] if before is None else before
         command, drop, before = np.broadcast_arrays(
