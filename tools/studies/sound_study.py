@@ -1,4 +1,5 @@
-"""Trials of all shipped recipes on sound machines: how many a limit or the monitor stops.
+"""Trials of all shipped recipes on sound machines: how many a limit or the monitor stops, and how
+many are said to swing.
 
 python -m tools.studies.sound_study 1000"""
 
@@ -52,28 +53,34 @@ def monitored(case: Case) -> Case | None:
     return replace(case, recipe=recipe, name=f"{case.name}, monitored")
 
 
-def outcome(task: tuple[int, Case]) -> tuple[str, str]:
-    """(name of a trial, what stopped it or "") with the noise of a number."""
+def outcome(task: tuple[int, Case]) -> tuple[str, str, bool]:
+    """(name of a trial, what stopped it or "", whether it is said to swing) with the noise of a
+    number."""
     number, case = task
     recipe = case.recipe.model_copy(update={"seed": case.recipe.seed + number})
     facts = run(replace(case, recipe=recipe).prepare(allow_code=True)).facts
-    return case.name, facts.stopped
+    swings = any(getattr(text, "key", "") == "trial.swings" for text in facts.warnings)
+    return case.name, facts.stopped, swings
 
 
 def main(arguments: Sequence[str] = ()) -> None:
-    """Run so many trials, a thousand by default, and print those that were stopped."""
+    """Run so many trials, a thousand by default, and print those that were stopped or swing."""
     count = int(arguments[0]) if arguments else 1000
     with TemporaryDirectory() as folder:
         plain = list(cases(Path(folder)))
         every = plain + [item for case in plain if (item := monitored(case)) is not None]
         with ThreadPoolExecutor(cores()) as pool:
             outcomes = list(pool.map(outcome, islice(enumerate(cycle(every)), count)))
-    stopped = Counter((name, text) for name, text in outcomes if text)
+    stopped = Counter((name, text) for name, text, _ in outcomes if text)
+    swinging = Counter(name for name, _, swings in outcomes if swings)
     watched = len(every) - len(plain)
     print(f"{len(outcomes)} trials of {len(plain)} plain and {watched} monitored ones")
     print(f"{stopped.total()} stopped")
     for (name, text), number in sorted(stopped.items()):
         print(number, name, text, sep=" | ")
+    print(f"{swinging.total()} said to swing")
+    for name, number in sorted(swinging.items()):
+        print(number, name, sep=" | ")
 
 
 if __name__ == "__main__":
