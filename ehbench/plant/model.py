@@ -173,8 +173,8 @@ class Model:
             row = self.plant.cylinders[index]
             stroke = float(read_value(text, VOCABULARY["x"]))
             if not 0 <= stroke <= row.stroke:
-                last = self.rig.text("x", row.stroke, 1)
-                refusal = message("plant.beyond_stroke", name=name, value=text, last=last)
+                ends = {"first": "0", "last": self.rig.text("x", row.stroke, 1)}
+                refusal = message("plant.outside_stroke", name=name, value=text, **ends)
                 raise InputError(refusal) from None
             return float(joint_of(row, stroke))
 
