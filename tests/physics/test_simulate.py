@@ -203,7 +203,7 @@ def test_postures_by_angle_stroke_and_name(rig):
 def test_a_posture_outside_the_stroke_says_what_the_stroke_allows(rig):
     model = Model.of(rig)
     cylinder = rig.cylinder[0]
-    shown = f"0 to {float(cylinder.stroke) * 1e3:.1f} mm"
+    shown = f"the stroke allows 0 to {float(cylinder.stroke) * 1e3:.1f} mm"
     if rig.mechanism.kind == "chain":
         with pytest.raises(InputError, match="outside the stroke") as caught:
             model.posture({cylinder.name: f"{float(cylinder.stroke) + 0.01} m"})
