@@ -176,6 +176,7 @@ def prepared_case(
     if not timed:
         notes.add("undecided", message("stages.stroke_unknown"))
     prepared = case.prepare(allow_code=inputs.allow_code, standing=not timed)
+    notes.add("remarks", *prepared.notes)
     if truth_of(prepared.machine) is None and recipe.limits != type(recipe.limits)():
         notes.add("undecided", message("stages.bench_settles"))
     if recipe.controller is not None and (code := recipe.controller.code) is not None:

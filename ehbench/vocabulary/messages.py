@@ -4,7 +4,7 @@ The catalogue is the folder `messages` beside this file, a TOML file for each pa
 The key ``data.no_time`` is the entry ``no_time`` of ``data.toml``: a template of `str.format` with
 named fields, or a table with the template as ``text`` and what would be right as ``hint``. A
 note of ``level = "warning"`` is shown without -v: what was taken in place of data that are missing,
-and what keeps a rig from moving."""
+what keeps a rig from moving, and what voids the promises of gains."""
 
 from __future__ import annotations
 

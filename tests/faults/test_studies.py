@@ -21,7 +21,7 @@ from ehbench.sampling.cluster import Bundle, Cluster
 from ehbench.sampling.pools import POOLS, Processes, in_threads
 from ehbench.stages.base import write_rig
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import is_warning, message
 from tests.settings import at
 from tests.shared import ROOT, refused, shipped
 
@@ -396,7 +396,7 @@ measures = ["tracking.max_error"]
 
 @pytest.mark.slow
 def test_gains_of_a_rig_of_other_numbers_are_noted_wherever_they_are_used(tmp_path):
-    """The trial, its study and its export; on the very rig there is no note."""
+    """The trial, its check, its study and its export, in plain sight; not on the very rig."""
     known = {"carriage.mass": 340.0, "bulk_modulus": 1e9, "supply.pressure": 1.3e7}
     rig = shipped("slide_servo")
     (tmp_path / "tuned").mkdir()
@@ -429,7 +429,13 @@ measures = ["tracking.max_error"]
         outcome = work(workflow.Session(out=tmp_path / name, unvalidated=True))
         return [note for note in outcome.notes if note.key == "trial.other_rig"]
 
+    def checked(name):
+        notes = inspection.check(tmp_path / name).notes
+        assert notes is not None
+        return [note for note in notes.remarks if getattr(note, "key", "") == "trial.other_rig"]
+
     assert noted(lambda session: workflow.run(tmp_path / "same.toml", session), "same") == []
+    assert checked("same.toml") == []
     options = {"formats": ["matlab"]}
     for name, work in {
         "trial": lambda session: workflow.run(tmp_path / "trial.toml", session),
@@ -437,6 +443,7 @@ measures = ["tracking.max_error"]
         "export": lambda session: workflow.export(tmp_path / "trial.toml", options, session),
     }.items():
         (note,) = noted(work, name)
+        assert [note] == checked("trial.toml") and is_warning(note)
         # the shipped file has 250 kg and 900 MPa; the supply has a note of its own
         assert note.fields["count"] == 2 and note.fields["name"] == "carriage.mass"
         assert (note.fields["tuned"], note.fields["here"]) == ("340 kg", "250 kg")
