@@ -574,3 +574,36 @@ def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
         if any(edge.sign * first > max(valve.onset(edge), 0.0) + minimum for edge in valve.edge):
             results[channel] = first
     return results
+
+
+def idle_at_first(
+    record: Record, rig: Rig, on: Mapping[str, float], rest: int
+) -> Iterator[Message]:
+    """Notes on cylinders that stand in the first ``rest`` samples, although commands ``on`` open
+    both their chambers and they move elsewhere: what is logged as the command has another zero.
+
+    They stand where they move less than a share of what they do elsewhere in the same time, with
+    the openings in proportion."""
+    for cylinder in rig.cylinder:
+        ends, share, opened = set[str](), 1.0, {}
+        for valve in cylinder.valve:
+            channel = f"{cylinder.name}.{valve.name}.command"
+            if channel not in on:
+                continue
+            opened[channel] = on[channel]
+            for edge in valve.edge:
+                least = max(valve.onset(edge), 0.0)
+                if (opening := edge.sign * on[channel] - least) > 0.0:
+                    ends |= {edge.from_, edge.to}
+                    share = min(share, opening / (np.abs(record[channel]).max() - least))
+        words = (word for word in ("q", "x", "qd", "v") if f"{cylinder.name}.{word}" in record)
+        if not {"head", "rod"} <= ends or (word := next(words, None)) is None:
+            continue
+        y = record[f"{cylinder.name}.{word}"]
+        way = y if word in ("q", "x") else np.cumsum(y) * record.sample_time
+        usual = np.abs(way[rest:] - way[:-rest]).max(initial=0.0)
+        surely = usual > SETTINGS.travel * _travel_of(cylinder, word)
+        if surely and np.ptp(way[:rest]) < SETTINGS.ongoing * share * usual:
+            for channel, command in opened.items():
+                fields = {"channel": channel, "command": command, "cylinder": cylinder.name}
+                yield message("preprocessing.idle_on", **fields)

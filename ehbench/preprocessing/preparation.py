@@ -85,6 +85,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
     notes += [*begun, *plausibility.notes_on_channels(record, model)]
     notes += plausibility.replay_notes(name, record, model)
     notes += plausibility.begins_elsewhere(record, model, rest)
+    notes += plausibility.idle_at_first(record, rig, on, rest)
     return record, tuple(notes)
 
 

@@ -17,7 +17,9 @@ from ehbench.preprocessing.initial_states import (
     mean_error,
 )
 from ehbench.preprocessing.plausibility import moving_at_first
+from ehbench.preprocessing.preparation import preprocess
 from ehbench.signals.series import first_of, fit_percent, rms
+from ehbench.vocabulary.messages import is_warning
 from tests.shared import measured, shipped
 
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
@@ -246,3 +248,51 @@ def test_a_start_goes_by_the_first_commands_and_by_all_readings(moves):
     later[2:] = 5.0
     same = replace(record, channels=record.channels | {"press.servo.command": later})
     assert start.unmoved(model, same) is first
+
+
+@pytest.mark.parametrize(
+    ("zero", "opened", "asked"),
+    [
+        (0.0, 1.0, False),
+        (2.0, 1.0, True),  # 0 … 20 mA taken for 4 … 20 mA
+        (-2.0, 1.0, True),
+        (0.02, 1.0, False),  # the driver's noise
+        (0.0, -1.0, False),  # triggered by its command: on from the first sample, and moving
+    ],
+)
+@pytest.mark.parametrize("drop", [(), ("v", "qd"), ("x", "q")])
+def test_a_command_that_is_on_while_its_cylinder_stands_is_asked_for_its_zero(
+    zero, opened, asked, drop
+):
+    made, _ = driven("steps")
+    first = 0 if opened > 0.0 else 110
+    record = noisy(made, 1, drop=drop).at(slice(first, None))
+    command = record["press.servo.command"] + zero
+    record = replace(record, channels=record.channels | {"press.servo.command": command})
+    notes = preprocess("log", record, Model.of(shipped("slide_servo")))[1]
+    fields = [note.fields for note in notes if note.key == "preprocessing.idle_on"]
+    shown = {"channel": "press.servo.command", "command": pytest.approx(zero), "cylinder": "press"}
+    assert fields == [shown] * asked
+    assert all(is_warning(note) == (note.key == "preprocessing.idle_on") for note in notes)
+
+
+def test_a_single_open_chamber_moves_nothing_and_asks_nothing():
+    """Four cartridges: the one that is open at first lets nothing out of the other chamber."""
+    rig = shipped("boom_four_valve")
+    t = np.arange(1501) * 1e-3
+    volts = {v.name: np.zeros(t.size) for v in rig.cylinder[0].valve}
+    pair = {
+        end: next(v.name for v in rig.cylinder[0].valve for e in v.edge if {e.from_, e.to} == ends)
+        for end, ends in {"in": {"supply", "head"}, "out": {"rod", "tank"}}.items()
+    }
+    for name in pair.values():
+        volts[name][(t > 0.5) & (t < 1.0)] = 6.0
+    log = simulate(rig, {f"boom.{name}": u for name, u in volts.items()}, 1.5)
+    held = [(pair["in"],), tuple(pair.values())]
+    for names, count in zip(held, (0, 2), strict=True):
+        on = {
+            f"boom.{name}.command": log[f"boom.{name}.command"] + 6.0 * (t < 0.5) for name in names
+        }
+        record = replace(log, channels=log.channels | on)
+        notes = preprocess("log", record, Model.of(rig))[1]
+        assert sum(note.key == "preprocessing.idle_on" for note in notes) == count
