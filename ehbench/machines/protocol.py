@@ -141,10 +141,14 @@ class Truth(Protocol):
     Attributes:
         model: whose states they are.
         width: numbers in a row.
+        rate: of the derivatives' fastest at the rows of a run, the mean [1/s].
     """
 
     model: Model
     width: int
+
+    @property
+    def rate(self) -> float: ...
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
         """Write what is true now, ``command`` [V] about to act, into ``row``, shape (width,)."""

@@ -26,7 +26,7 @@ NAME = "model"
 
 class Running(NamedTuple):
     """A model at work: state ``y``, plant, ``tick`` [s], integration ``steps`` in it, ``line`` of
-    past commands, scratch."""
+    past commands, scratch, the sum of the fastest ``rates`` [1/s] at rows and their number."""
 
     y: np.ndarray
     plant: Plant
@@ -35,6 +35,7 @@ class Running(NamedTuple):
     steps: int
     k: np.ndarray
     work: np.ndarray
+    rates: np.ndarray
 
 
 @kernel
@@ -73,6 +74,8 @@ def model_truth(run, command, row):
         row[j] = run.y[j]
     for j in range(run.work.shape[0] - at):
         row[size + j] = run.work[at + j]
+    run.rates[0] += rate
+    run.rates[1] += 1.0
     return rate
 
 
@@ -130,6 +133,7 @@ class SimulatedMachine:
             self.steps,
             np.empty((SCRATCH, states)),
             np.empty(plant.at.work),
+            np.zeros(2),
         )
         self._pace = pace_of(plant, model.layout, 1.0 / self.rate) if step == AUTO else None
         self.truth = ModelTruth(model, self._running)
@@ -154,6 +158,7 @@ class SimulatedMachine:
         self.model.plant.links[:] = links_of(self.model.rig)
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)
         self._running.line.past[:] = self.model.plant.valves.before
+        self._running.rates[:] = 0.0
         sample = np.empty(len(self.channels))
         perfect_sample(self.state, self.model.plant, sample)
         return sample
@@ -199,6 +204,12 @@ class ModelTruth:
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
         """As `Truth.read`."""
         model_truth(self._running, command, row)
+
+    @property
+    def rate(self) -> float:
+        """As `Truth.rate`."""
+        total, rows = self._running.rates
+        return float(total) / max(float(rows), 1.0)
 
     def channels(
         self, t: np.ndarray, commands: np.ndarray, rows: np.ndarray

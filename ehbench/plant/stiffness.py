@@ -1,5 +1,6 @@
 """Which state asks for very short steps where the steps are chosen by the guard."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STIFF
 from ehbench.plant.model import Model, Start
 from ehbench.plant.paced import pace_of
 from ehbench.vocabulary import Message, message, setting
@@ -70,13 +72,21 @@ def stiffness_of(model: Model, record: Record, start: Start) -> Stiffness | None
     return Stiffness(count, state, times / SETTINGS.examined)
 
 
-def short_steps(model: Model, record: Record, start: Start) -> Iterator[Message]:
+def short_steps(
+    model: Model, record: Record, start: Start, rate: float = math.inf
+) -> Iterator[Message]:
     """Where a recording's replay asks for very short steps, which state limits them and what makes
     it fast; nothing of an FMU, which chooses its steps itself.
 
+    Args:
+        rate: of fixed steps the fastest rate [1/s] that they met, in the mean: where it does not
+            make them short, nothing is asked.
+
     Raises:
         LogError, SimulationError: as `stiffness_of`."""
-    stiff = None if model.rig.model is not None else stiffness_of(model, record, start)
+    if model.rig.model is not None or rate < STIFF * SETTINGS.steps:
+        return
+    stiff = stiffness_of(model, record, start)
     if stiff is not None:
         word = stiff.state.rpartition(".")[2]
         kind = "motion" if word in ("q", "qd") else "pressure"

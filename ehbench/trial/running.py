@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
@@ -19,6 +20,7 @@ from ehbench.ledger.readings import least_step
 from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.plant.build import links_of
 from ehbench.plant.model import Start
+from ehbench.plant.paced import AUTO
 from ehbench.plant.stiffness import short_steps
 from ehbench.preprocessing.observations import commanded
 from ehbench.trial.controllers import Compiled, controller_of, valve_fault
@@ -181,7 +183,8 @@ def run(
     # what makes its simulation slow, by its commands and its first payload
     model = replace(truth.model, plant=truth.model.plant._replace(links=links_of(truth.model.rig)))
     start = Start(model.trim(model.posture(prepared.posture), prepared.low_side))
-    notes = short_steps(model, record, start)
+    rate = math.inf if prepared.recipe.step == AUTO else truth.rate
+    notes = short_steps(model, record, start, rate)
     return Result(record, replace(facts, warnings=(*facts.warnings, *notes)), truth.model)
 
 

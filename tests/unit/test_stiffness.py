@@ -6,7 +6,9 @@ import pytest
 from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import prepare_fit, simulator_of
+from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, Start
+from ehbench.plant.paced import AUTO
 from ehbench.plant.stiffness import stiffness_of
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.fields import Value
@@ -79,13 +81,21 @@ def test_a_validation_says_so_of_its_log(case):
     check_notes(log.warnings, state, kind)
 
 
+@pytest.mark.parametrize("fast", [True, False])
 @pytest.mark.parametrize(
-    ("case", "on"), [("shipped", "model"), ("shipped", "bench"), ("small volumes", "model")]
+    ("case", "on", "step"),
+    [
+        ("shipped", "model", STEP),
+        ("shipped", "bench", STEP),
+        ("small volumes", "model", STEP),
+        ("shipped", "model", AUTO),
+        ("damping on a light load", "model", AUTO),
+    ],
 )
-def test_a_trial_says_so(case, on):
+def test_a_trial_says_so_whose_steps_are_short(case, on, step, fast):
     values, state, kind = CASES[case]
     recipe = load_recipe(ROOT / "recipes/trials/multisine.toml")
     assert isinstance(recipe, TrialRecipe)
-    changes = {"on": on, "bench": None, "duration": Value(2.0)}
+    changes = {"on": on, "bench": None, "duration": Value(2.0), "step": step}
     trial = prepare(recipe.model_copy(update=changes), SLIDE.with_values(values))
-    check_notes(run(trial).facts.warnings, state, kind)
+    check_notes(run(trial, fast=fast).facts.warnings, state, kind)
