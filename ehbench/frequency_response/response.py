@@ -381,6 +381,8 @@ def _delay(
         warnings.append(message("frequency_response.curved_phase", **fields))
     half = Z95 * math.sqrt(variance) * max(1.0, curved)
     slope = float(solution[1])
+    if slope + half < 0.0:
+        warnings.append(message("frequency_response.early", early=-1e3 * slope, error=1e3 * half))
     return Estimate(slope, slope - half, slope + half), warnings
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.signals.series import correlation_time, fit_percent
-from ehbench.vocabulary import setting
+from ehbench.vocabulary import Z95, Message, message, setting
 
 # by form: the real poles that it has, whether it has a pair of natural frequency and damping ratio,
 # whether it has a delay
@@ -23,6 +23,7 @@ FORMS = {
     "two poles and delay": (2, False, True),
     "second order": (0, True, False),
     "second order and delay": (0, True, True),
+    "second order, a pole and delay": (1, True, True),
 }
 
 
@@ -42,10 +43,10 @@ SETTINGS = TransferSettings()
 
 @dataclass(frozen=True)
 class Transfer:
-    """One form fitted to all logs: real ``poles`` [rad/s], lowest first, or ``natural_frequency``
-    [rad/s] and ``damping_ratio`` of a pair, ``delay`` [s] and ``gain`` [output/input], each with
-    its standard error; the NRMSE fit of each log [%], and whether the form is the one
-    ``preferred``."""
+    """One form fitted to all logs: real ``poles`` [rad/s], lowest first, ``natural_frequency``
+    [rad/s] and ``damping_ratio`` of a pair, ``delay`` [s], below 0 where the output is ahead, and
+    ``gain`` [output/input], each with its standard error; the NRMSE fit of each log [%], and
+    whether the form is the one ``preferred``."""
 
     form: str
     gain: float
@@ -66,14 +67,33 @@ class Transfer:
         poles, pair, late = FORMS[self.form]
         return poles + 2 * pair + late
 
+    def is_within(self, other: "Transfer") -> bool:
+        """Whether another form has every number of this one, and more."""
+        ours, theirs = FORMS[self.form], FORMS[other.form]
+        return ours != theirs and all(a <= b for a, b in zip(ours, theirs, strict=True))
+
+    def widened(self, richer: "Transfer") -> "Transfer":
+        """With standard errors that also hold by how much a richer form has its numbers otherwise,
+        the lack of fit of this one. Where this one is true, they are the richer one's on average:
+        its numbers scatter about those here by what they are less certain (Hausman 1978)."""
+        stds: dict[str, Any] = {
+            f"{name}_std": math.hypot(std, getattr(self, name) - getattr(richer, name))
+            for name in ("natural_frequency", "damping_ratio", "delay")
+            if (std := getattr(self, f"{name}_std")) is not None
+        }
+        both = zip(self.pole_stds, self.poles, richer.poles, strict=False)
+        poles = tuple(math.hypot(std, pole - other) for std, pole, other in both)
+        return replace(self, pole_stds=poles, **stds)
+
 
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     """Every form fitted to logs, the preferred first: the best of those with the fewest numbers
-    that come within a percent of fit of the best of all. A form with a pole or a delay
-    at a bound, or with a pole that the logs do not show, is left out.
+    that come within a percent of fit of the best of all, its standard errors widened by what the
+    best of those with more numbers has otherwise. A form with a pole or a delay at a bound, or with
+    a pole that the logs do not show, is left out.
 
     Args:
         pairs: input and output of each log.
@@ -86,7 +106,19 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     fewest = min(item.numbers for item in close)
     ranked = sorted(results, key=lambda item: -level[item.form])
     best = next(item for item in ranked if item in close and item.numbers == fewest)
-    return (replace(best, preferred=True), *(item for item in ranked if item is not best))
+    others = [item for item in ranked if item is not best]
+    richer = next((item for item in others if best.is_within(item)), best)
+    return (replace(best.widened(richer), preferred=True), *others)
+
+
+def notes_of(forms: Sequence[Transfer]) -> tuple[Message, ...]:
+    """What a reader of fitted forms must know of the first: an output that is surely ahead."""
+    first = next(iter(forms), None)
+    if first is None or first.delay is None or first.delay_std is None:
+        return ()
+    sure = first.delay + Z95 * first.delay_std < 0.0
+    fields = {"early": -1e3 * first.delay, "error": 1e3 * Z95 * first.delay_std}
+    return (message("frequency_response.early_form", **fields),) if sure else ()
 
 
 def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
@@ -103,13 +135,15 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
         return np.concatenate([y - s for s, (_, y) in zip(outputs, pairs, strict=True)]) / size
 
     starts = np.geomspace(4.0 * low, 0.1 * high, 6)
-    begins = [[w, ratio] for w in starts for ratio in SETTINGS.damped]
-    if not pair:
-        begins = [[w * SETTINGS.spread**k for k in range(poles)] for w in starts]
+    begins = [
+        [w, ratio][: 2 * pair] + [w * SETTINGS.spread ** (k + pair) for k in range(poles)]
+        for w in starts
+        for ratio in SETTINGS.damped[: None if pair else 1]
+    ]
     begins = [np.append(np.log(begin), [1.0] * late) for begin in begins]  # delay [samples]
     begin = min(begins, key=lambda item: float(np.sum(residuals(item) ** 2)))
-    ends = np.array([(low, high), SETTINGS.damping] if pair else [(low, high)] * poles)
-    bounds = np.array([*np.log(ends), *[(0.0, 0.5 * rate)] * late]).T
+    ends = np.array([(low, high), SETTINGS.damping] * pair + [(low, high)] * poles)
+    bounds = np.array([*np.log(ends), *[(-0.5 * rate, 0.5 * rate)] * late]).T
     best = least_squares(
         residuals, np.clip(begin, *bounds), bounds=bounds, x_scale="jac", diff_step=1e-5
     )
@@ -120,8 +154,8 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
     values = [(float(v), float(v * e)) for v, e in zip(np.exp(best.x[:count]), std, strict=False)]
     if np.abs(best.x - bounds).min() < SETTINGS.edge or any(error > v for v, error in values):
         return None
-    real = () if pair else tuple(sorted(values))
-    (omega, omega_std), (zeta, zeta_std) = values if pair else [(None, None)] * 2
+    real = tuple(sorted(values[2 * pair :]))
+    (omega, omega_std), (zeta, zeta_std) = values[:2] if pair else [(None, None)] * 2
     return Transfer(
         form,
         gain,
@@ -140,17 +174,16 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
 def _outputs(
     theta: np.ndarray, form: str, pairs: Pairs, rate: float
 ) -> tuple[float, list[np.ndarray]]:
-    """(gain, outputs) of a form: logarithms of its poles [rad/s], or of natural frequency and
-    damping ratio, then its delay [samples]."""
+    """(gain, outputs) of a form: logarithms of natural frequency and damping ratio, of its poles
+    [rad/s], then its delay [samples]."""
     from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
     poles, pair, late = FORMS[form]
+    roots = -np.exp(theta[2 * pair : 2 * pair + poles]).astype(complex)
     if pair:
         omega, zeta = np.exp(theta[:2])
         root = omega * (-zeta + 1j * math.sqrt(max(1.0 - zeta**2, 0.0)))
-        roots = np.array([root, root.conjugate()])
-    else:
-        roots = -np.exp(theta[:poles])
+        roots = np.append(roots, [root, root.conjugate()])
     whole = np.real(np.poly(roots))
     # exact for an input that goes straight from sample to sample
     discrete: Any = cont2discrete(([whole[-1]], whole), 1.0 / rate, "foh")
@@ -162,8 +195,8 @@ def _outputs(
         s = np.interp(at - theta[-1], at, u) if late else u
         s = lfilter(above, below, s, zi=still * s[0])[0]
         # what the log's own offset and start add: a constant, and how the form comes to rest
-        fading: Any = np.exp(np.outer(at / rate, roots[:1] if pair else roots))
-        ends = [fading.real, fading.imag] if pair else [fading]
+        fading: Any = np.exp(np.outer(at / rate, roots[: poles + pair]))
+        ends = [fading.real, fading.imag[:, poles:]]
         ways, _ = np.linalg.qr(np.column_stack([np.ones(at.size), *ends]))
         bases.append((s - ways @ (ways.T @ s), y - ways @ (ways.T @ y), y))
     along = sum(float(s @ s) for s, _, _ in bases)

@@ -33,6 +33,7 @@ class Frames:
             fields = {"way": way, "such": next(iter(self.signals))}
             raise InputError(message("links.dbc_signals", **fields), file=path)
         self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
+        self._came: set[int] = set()  # since the last vector
 
     def send(self, bus, numbers: np.ndarray) -> None:
         """Send a vector; numbers that it lacks are 0."""
@@ -48,14 +49,19 @@ class Frames:
             bus.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
 
     def take(self, frame) -> np.ndarray | None:
-        """The vector that a frame completes."""
+        """The vector that a frame completes; None of one of whose frames was lost, as a number of
+        the vector before it would pass for one of now."""
         known = self.messages.get(frame.arbitration_id)
         if known is None:
             return None
         for name, value in known.decode(frame.data).items():
             if name in self.signals:
                 self._numbers[self.signals[name]] = value
-        return self._numbers.copy() if frame.arbitration_id == self.last else None
+        self._came.add(frame.arbitration_id)
+        if frame.arbitration_id != self.last:
+            return None
+        whole, self._came = self._came == set(self.messages), set()
+        return self._numbers.copy() if whole else None
 
 
 def open_bus(interface: str, channel: str):

@@ -17,7 +17,7 @@ METHODS: Mapping[str, int] = {
     "flow_maps": 9,
     "output_error": 9,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
-    "frequency_response": 1,
+    "frequency_response": 2,
     "diagnosis": 11,
     "validation": 9,
     "control": 3,  # controllers and their monitor

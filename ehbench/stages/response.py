@@ -48,7 +48,7 @@ class ResponseRecipe(Recipe):
     transfer: bool = Field(
         default=False,
         description="whether plain transfer functions (one pole, two, or a pair with a damping "
-        "ratio; with and without delay) are fitted in time and compared",
+        "ratio, with and without delay; a pair, a pole and delay) are fitted in time and compared",
     )
     frequency_max: Annotated[Value, Q("frequency")] | None = Field(
         default=None, description="what lies above is not looked at; none is half the logs' rate"
@@ -91,11 +91,14 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
         from ehbench.frequency_response.response import estimate
-        from ehbench.frequency_response.transfer import transfers
+        from ehbench.frequency_response.transfer import notes_of, transfers
 
         recipe = prepared.recipe
         assert prepared.signals is not None  # a run has all its logs
         result = estimate(prepared.signals)
+        signals = prepared.signals
+        forms = transfers(signals.pairs, signals.rate) if recipe.transfer else ()
+        warnings = (*result.warnings, *notes_of(forms))
         unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
         table = {
             "input": recipe.input,
@@ -105,12 +108,11 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
             "coherence_min": recipe.coherence_min,
             "logs": [name for name, _ in prepared.logs.records],
             **result.as_json(),
-            "warnings": result.warnings,
+            "warnings": warnings,
         }
         if recipe.transfer:
-            forms = transfers(prepared.signals.pairs, prepared.signals.rate)
             table["transfers"] = [asdict(form) for form in forms]
         rundir.write_json(folder / "response.json", table)
         write_text(folder / "response.csv", result.table(unit))
         write_rig(folder, prepared.state.rig, None)
-        return prepared.done(result.warnings)
+        return prepared.done(warnings)

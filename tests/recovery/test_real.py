@@ -74,7 +74,7 @@ def test_a_servohydraulic_sweep_is_one_pole_and_a_delay(undrawn, tmp_path):
     assert best["fit_percent"][0] > 94.7 and best["fit_percent"][1] > 94.5
     (two,) = (one for one in others if one["form"] == "two poles")
     assert np.all(np.array(best["fit_percent"]) > np.array(two["fit_percent"]))
-    said = section(Saved(made.folder), lambda *_: ()).sentence
+    said = section(Saved(made.folder), lambda **_: ()).sentence
     assert "first order and delay is preferred, 45.2 ± 2.6 rad/s and 4.50 ± 0.57 ms" in said
 
 

@@ -16,7 +16,7 @@ from ehbench.config.recipe import Sensor, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import Averaging, Signals, estimate, prepare_signals
-from ehbench.frequency_response.transfer import transfers
+from ehbench.frequency_response.transfer import notes_of, transfers
 from ehbench.guidance.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.plant.model import simulate
@@ -238,26 +238,59 @@ def test_a_check_names_a_channel_that_is_not_there(folder):
     assert recipe.load_recipe(path).kind() == ("response", None)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.02])
-@pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8])
-def test_a_second_order_is_found_with_its_interval(ratio, delay):
-    """3 Hz, against SciPy's simulation, which knows nothing of forms; the interval holds."""
+def answered(ratio: float, delay: float, lag: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A multisine and what a pair of 3 Hz and a lag [s] make of it by SciPy's simulation, which
+    knows nothing of forms; a delay [s] below 0 logs it too early."""
     rng = np.random.default_rng(5)
     t, omega = np.arange(4000) / 100.0, 6.0 * np.pi
-    u = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in np.arange(0.1, 8.0, 0.1))
-    late = np.interp(t - delay, t, u)
-    _, y, _ = signal.lsim(([2.0 * omega**2], [1.0, 2 * ratio * omega, omega**2]), late, t)
-    y = 1.0 + y + 0.05 * y.std() * rng.standard_normal(t.size)
-    best, *others = transfers([(u, y)], 100.0)
+    tones = [(f, rng.uniform(0, 6.3)) for f in np.arange(0.1, 8.0, 0.1)]
+    u, late = (np.sum([np.sin(2 * np.pi * f * s + p) for f, p in tones], 0) for s in (t, t - delay))
+    pair = [1.0, 2 * ratio * omega, omega**2]
+    _, y, _ = signal.lsim(([2.0 * omega**2], np.polymul(pair, [lag, 1.0])), late, t)
+    return u, 1.0 + y + 0.05 * y.std() * rng.standard_normal(t.size)
+
+
+@pytest.mark.parametrize("delay", [-0.02, 0.0, 0.02])
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8])
+def test_a_second_order_is_found_with_its_interval(ratio, delay):
+    """The interval holds, also where the output is logged too early, which is said."""
+    best, *others = transfers([answered(ratio, delay)], 100.0)
     assert best.preferred and best.form == ("second order and delay" if delay else "second order")
     for value, std, true in (
-        (best.natural_frequency, best.natural_frequency_std, omega),
+        (best.natural_frequency, best.natural_frequency_std, 6.0 * np.pi),
         (best.damping_ratio, best.damping_ratio_std, ratio),
         *([(best.delay, best.delay_std, delay)] if delay else []),
     ):
-        assert std is not None and abs(value - true) < 3.0 * std < 0.05 * true
+        assert std is not None and abs(value - true) < 3.0 * std < 0.05 * abs(true)
     # real poles do not follow it, and such as the logs do not show are not offered
     assert all(max(o.pole_stds, default=0.0) <= max(o.poles, default=0.0) for o in others)
+    notes = notes_of((best, *others))
+    assert [note.key for note in notes] == ["frequency_response.early_form"] * (delay < 0.0)
+    assert all(note.fields["early"] == pytest.approx(20.0, abs=1.0) for note in notes)
+
+
+@pytest.mark.parametrize("delay", [-0.02, 0.0])
+@pytest.mark.parametrize("ratio", [0.1, 0.3])
+def test_a_lack_of_fit_widens_the_intervals_of_the_preferred_form(ratio, delay):
+    """A lag of 10 ms is in the delay of the preferred form: its numbers hold none the less."""
+    best, *_ = transfers([answered(ratio, delay, 0.01)], 100.0)
+    for value, std, true in (
+        (best.natural_frequency, best.natural_frequency_std, 6.0 * np.pi),
+        (best.damping_ratio, best.damping_ratio_std, ratio),
+        (best.delay, best.delay_std, delay),
+    ):
+        assert value is not None and std is not None and abs(value - true) < 1.96 * std
+    assert best.natural_frequency_std is not None and best.natural_frequency is not None
+    assert best.natural_frequency_std < 0.02 * best.natural_frequency
+
+
+def test_an_output_ahead_of_its_input_is_said_by_the_slope():
+    name, record = delayed(1, 5)
+    early = Record(record.t, dict(zip(NAMES, (record[NAMES[1]], record[NAMES[0]]), strict=True)))
+    found = estimate(signals((name, early), segment=0.5, frequency=100.0))
+    (note,) = [note for note in found.warnings if note.key == "frequency_response.early"]
+    assert note.fields["early"] == pytest.approx(5.0, abs=note.fields["error"])
+    assert note.fields["error"] < 0.5
 
 
 # --- parameters from the frequency response of logs, in place of their samples

@@ -16,6 +16,7 @@ import pytest
 from ehbench.app.linking import moved_to, serve, wire
 from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read_log
+from ehbench.links.can import Frames
 from ehbench.links.layout import WRITERS, Layout, write_files
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import measure
@@ -249,6 +250,28 @@ def test_a_served_bench_speaks_can(tmp_path, started, trial):
     over = run(ready, open_machine(ready, url), fast=False)
     assert over.facts.stop is None
     assert over.facts.measures["tracking"]["max_error"] < 3e-3
+
+
+def test_a_vector_of_which_a_frame_was_lost_does_not_count(tmp_path):
+    """Its numbers would be those of the vector before."""
+    pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    names = (*LAYOUT.channels, *(f"{name}.command" for name in LAYOUT.commands.names), *HEADER)
+
+    class Bus(list):
+        send = list.append
+
+    def frames(offset):
+        Frames("up", names, dbc).send(bus := Bus(), np.arange(len(names)) + offset)
+        return bus
+
+    taking = Frames("up", names, dbc)
+    taken = [taking.take(frame) for frame in (*frames(0), *frames(100)[1:], *frames(200))]
+    whole = [item for item in taken if item is not None]
+    assert [item.tolist() for item in whole] == [
+        [at + offset for at in range(len(names))] for offset in (0, 200)
+    ]
 
 
 def test_a_map_of_registers_scales_numbers(tmp_path):

@@ -376,6 +376,46 @@ TEXTS = {
         "0.0\t1.5\t2.5\n0.1\t1.5\t2.5\n0.2\t1.5\t2.5\n",
         {"Name": "", "p1": "bar", "p2": "V"},
     ),
+    "a unit as a remark": (
+        "#CHANNEL:CH1\n#CLOCK=1.0mS\n#SIZE=3\n#UNITS:V\n\n1.5\n2.5\n3.5\n",
+        {"column 1": "V"},
+    ),
+    "a unit of channels beside a number of the row": (
+        "#CHANNEL:CH1\n#CLOCK=1.0mS\n#UNITS:V\n0,1.5\n1,2.5\n2,3.5\n",
+        {"column 1": "", "column 2": ""},
+    ),
+    "names and units as remarks with titles": (
+        "#title: a, b\n#units: s, bar\n#names: Time, p_A\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        {"Time": "s", "p_A": "bar"},
+    ),
+    "a remark as wide as the rows": (
+        "# Rate: 1 kHz\n# Operator: A, B at 10:30\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        {"column 1": "", "column 2": ""},
+    ),
+    "a remark as header, whose cells say their units": (
+        "# t: s, p_A: bar\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        {"t: s": "", "p_A: bar": "bar"},
+    ),
+    "facts of each channel above the names": (
+        "Gating,0.0% to 100.0%,\nProbe Attenuation,1,1\nVertical Units,V,A\n"
+        "Vertical Scale,0.5,0.5\nLabel,p_A,coil\nTIME,CH1,CH2\n"
+        "0.0,1.5,0\n0.1,2.5,0\n0.2,3.5,0\n",
+        {"TIME": "", "CH1": "V", "CH2": "A"},
+    ),
+    "facts of each channel between names and units": (
+        "Time  1 - default sample rate\tp_A\nT0 = 11.05.2026 10:11:12\tT0 = 11.05.2026 10:11:12\n"
+        "Comment:\tamplifier 2\ns\tbar\n0,0\t1,5\n0,1\t2,5\n0,2\t3,5\n",
+        {"Time  1 - default sample rate": "s", "p_A": "bar"},
+    ),
+    "titled names above rows that begin blank": (
+        '"path","","Model/p_A"\n"trace_names","Time","p_A"\n"trace_values"\n'
+        ",0.0,1.5\n,0.1,2.5\n,0.2,3.5\n",
+        {"Time": "", "p_A": ""},
+    ),
+    "an 'in' before each unit": (
+        "in s,C1 in V\n0.0,1.5\n0.1,2.5\n0.2,3.5\n",
+        {"in s": "s", "C1 in V": "V"},
+    ),
     "words beside": (
         "t,p,state\n0.0,1.5,RUN\n0.1,2.5,RUN\n0.2,3.5,STOP\n",
         {"t": "", "p": ""},

@@ -264,6 +264,7 @@ def preferred(fit):
     def fitted(form, *_):
         fits = {"first order": 90.0, "two poles": 90.0 + fit}
         item = Stub(form=form, fit_percent=(fits.get(form, 0.0),), numbers=transfer.FORMS[form][0])
+        item.is_within, item.widened = lambda _: False, lambda _: item
         return item if form in fits else None
 
     with answers(transfer, _fit_form=fitted, replace=lambda item, **_: item):

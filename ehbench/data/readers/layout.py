@@ -16,7 +16,9 @@ from ehbench.vocabulary.units import absolute_unit, factor, named_unit
 
 _REMARKS = ("#", "%", "//")
 # what the first cell of a row above the numbers calls it
-_NAME_HEADS = ("name", "names", "tracename", "channel name", "kanalname")
+_NAME_HEADS = (
+    *("name", "names", "tracename", "channel name", "kanalname", "columns", "fields", "spalten"),
+)
 _UNIT_HEADS = (
     *("unit", "units", "einheit", "einheiten", "unité", "unidad", "vunit", "y_unit_label"),
     "vertical units",
@@ -35,6 +37,10 @@ _RATE_HEADS = (
 _START_HEADS = ("x0", "hoffset", "start", "t0", "x origin", "xorigin")
 _TIME_NAMES = (*TIME_NAMES, "x_value")
 _FACT = re.compile(r"([^:=]+)[:=](.*)")  # a title and what it says
+_REMARKED = re.compile(r"\s*(?:[#%]|//)[#%/ ]*([^\W\d][^:=,;|\t()\[\]{}]*)[:=](.*)")
+_TITLED = re.compile(
+    r"[,;|\t]\s*[^\W\d][^,;|\t]*[:=](?!\d)"
+)  # a further cell with a title of its own
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 # how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
 _CLOCK_FORM = re.compile(
@@ -65,8 +71,19 @@ class TextLayout:
 
 
 def bare(line: str) -> str:
-    """A line without the sign that makes it a remark."""
+    """A line without the sign that makes it a remark, and without the title of names or units."""
+    title, said = _remarked(line)
+    if title in (*_NAME_HEADS, *_UNIT_HEADS):
+        return said
     return line.lstrip("#%/ ") if line.lstrip().startswith(_REMARKS) else line
+
+
+def _remarked(line: str) -> tuple[str, str]:
+    """The title of a remark such as ``#UNITS:V`` and what it says; blank of any other line, as of
+    a header each of whose cells says something of its own.
+    """
+    match = _REMARKED.fullmatch(line)
+    return (_label(match[1]), match[2]) if match and not _TITLED.search(match[2]) else ("", "")
 
 
 def is_row(line: str, separator: str) -> bool:
@@ -166,7 +183,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         below = below if dialect.unit_row else None
         header = above[0] if above else None
         return _clocked(TextLayout(header, below, first, kinds, rows), lines, marks)
-    header, units = _heads(lines, range(skip, first), separator, len(kinds))
+    header, units = _heads(lines, range(skip, first), separator, kinds)
     units = titled if units is None else units
     if dialect.unit_row is False:
         header, units = (header if units in (None, titled) else units), None
@@ -184,12 +201,13 @@ def _without_numbers(lines: Sequence[str], rows: Sequence[int]) -> LogError:
 def _titled(
     lines: Sequence[str], above: range, separator: str, width: int, titles: Sequence[str]
 ) -> int | None:
-    """The last line above the numbers whose first cell is a title of some, and that says something
-    of most columns; None of none.
+    """The last line above the numbers whose first cell, or before whose cells in a remark, is a
+    title of some, and that says something of most columns; None of none.
     """
     for n in reversed(above):
-        title, *cells = split(bare(lines[n]), separator)
-        if _label(title) in titles and len(cells) + 1 >= width and any(cells):
+        row, remarked = split(bare(lines[n]), separator), _remarked(lines[n])[0]
+        title, cells = (remarked, row) if remarked else (_label(row[0]), row[1:])
+        if title in titles and len(row) >= width and any(cells):
             return n
     return None
 
@@ -267,10 +285,10 @@ def _kinds_of(
 
 
 def _heads(
-    lines: Sequence[str], above: range, separator: str, width: int
+    lines: Sequence[str], above: range, separator: str, kinds: Sequence[str]
 ) -> tuple[int | None, int | None]:
     """(line of the header, line of the units) of the lines above the numbers."""
-    block = []
+    block, width = [], len(kinds)
     for n in reversed(above):
         if lines[n].strip(" \t" + separator):
             block.append(n)
@@ -281,12 +299,39 @@ def _heads(
         _titled(lines, within, separator, width, titles) for titles in (_NAME_HEADS, _UNIT_HEADS)
     )
     rows = {n: split(bare(lines[n]), separator)[:width] for n in (names, *block) if n is not None}
-    # a title before each column's name, or units below the names
-    if names is not None and (units is not None or rows[names].count(rows[names][0]) > 1):
+    # a title before each column's name, or above no numbers, or units below the names
+    many = names is not None and (kinds[0] == "blank" or rows[names].count(rows[names][0]) > 1)
+    if names is not None and (units is not None or many):
         own = {n: [cell for cell in row if cell and cell != row[0]] for n, row in rows.items()}
         # one name comes again: another row tells the columns apart
         tells = (n for n, row in own.items() if row and len(set(row)) == len(row))
         return next(tells, names), units
+    wide, at = _wide_rows(lines, above, separator, width)
+    if at == [units]:  # without names
+        return None, units
+    for index, cells in enumerate(wide[:-1]):
+        units = cells[1:] if _label(cells[0]) in _UNIT_HEADS else cells
+        known = sum(map(_is_unit, units))
+        # three in four below names that are none: a recorder may have words of its own for one
+        mostly = known >= 0.75 * len(units) and not any(map(_is_unit, wide[index + 1]))
+        all_of_it = known == len(units) or all(map(_BRACKETED.fullmatch, units))
+        if units and (mostly or all_of_it):
+            return at[index + 1], at[index]
+        unlike = len(set(cells)) == len(cells) and _is_of_words(lines[at[index]], (separator, "."))
+        if unlike and _label(_BRACKETED.sub("", cells[0])) in _TIME_NAMES:  # facts about it
+            return at[index], None
+    if wide and at[0] > above.start and all(map(_is_unit, wide[0])):  # of numbered channels
+        names = split(bare(lines[at[0] - 1]), separator)[:width]
+        if len(list(filter(None, names))) == len(wide[0]):
+            return at[0] - 1, at[0]
+    return (at[0], None) if at else (None, None)
+
+
+def _wide_rows(
+    lines: Sequence[str], above: range, separator: str, width: int
+) -> tuple[list[list[str]], list[int]]:
+    """(cells that are filled, line) of each row of words above the numbers that may name columns or
+    their units, the last first."""
     wide: list[list[str]] = []
     at: list[int] = []
     below = False  # whether remarks stand below the header, which is none itself then
@@ -296,12 +341,16 @@ def _heads(
                 break
             continue
         cells = _names_in(lines, n, separator, width)[:width]
+        if cells[0].endswith(":") or all("=" in cell for cell in cells):  # facts
+            continue
         filled = [cell for cell in cells if cell.strip("-")]
         is_remark = not is_row(lines[n], separator)
-        if is_remark and len(cells) < width and not wide:
+        title = _remarked(lines[n])[0]
+        is_fact = title not in ("", *_NAME_HEADS, *_UNIT_HEADS)
+        if is_remark and (len(cells) < width or is_fact) and not wide:
             below = True
             continue
-        if (
+        if is_fact or (
             (is_remark and below)
             or len(cells) < width
             or len(filled) < min(width, 2)
@@ -311,19 +360,7 @@ def _heads(
         if sum(number(cell) is not None for cell in filled) < 0.5 * len(filled):
             wide.append(filled)
             at.append(n)
-    for index, cells in enumerate(wide[:-1]):
-        units = cells[1:] if _label(cells[0]) in _UNIT_HEADS else cells
-        known = sum(map(_is_unit, units))
-        # three in four below names that are none: a recorder may have words of its own for one
-        mostly = known >= 0.75 * len(units) and not any(map(_is_unit, wide[index + 1]))
-        all_of_it = known == len(units) or all(map(_BRACKETED.fullmatch, units))
-        if units and (mostly or all_of_it):
-            return at[index + 1], at[index]
-    if wide and at[0] > above.start and all(map(_is_unit, wide[0])):  # of numbered channels
-        names = split(bare(lines[at[0] - 1]), separator)[:width]
-        if len(list(filter(None, names))) == len(wide[0]):
-            return at[0] - 1, at[0]
-    return (at[0], None) if at else (None, None)
+    return wide, at
 
 
 def _names_in(lines: Sequence[str], n: int, separator: str, width: int) -> list[str]:

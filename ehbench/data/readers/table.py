@@ -28,7 +28,7 @@ _UNIT_LAST = (
     r"\[([^\[\]]*)\]\s*$",
     r"\(([^()]*)\)(?:\s*$|;|\s*\[)",
     r"\{([^{}]*)\}\s*$",
-    r"\s(?:/|in)\s+(\S+)\s*$",
+    r"(?:^|\s)(?:/|in)\s+(\S+)\s*$",
     r",\s*(\S+)$",
     # at the end of words only such as are hardly anything else
     rf"[\s_]({_PLAIN})$",
