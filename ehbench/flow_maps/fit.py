@@ -211,6 +211,8 @@ def _iterate(readings: Readings, leak: Leak | None) -> Fit:
                     bent = start_deadband(readings, bend(shape, used), used, lack)
                 shape, kinks = find_kinks(readings, bent, cells.without(lone), lack)
             used = cells.without(lone)
+            if used.weighed < 3:  # all else lies below what its meter shows
+                raise InsufficientData(message("flow_maps.no_flow", map=readings.who))
             shape, _ = likeliest_smoothing(shape, used)
             if final:
                 deadband, shape = find_deadband(readings, shape, used, lack)
@@ -277,16 +279,18 @@ def _find_leak(r: Readings) -> Leak | None:
     still = (r.level == 0) & (r.command == 0) & ~r.silent
     if still.sum() < 4:
         return None
-    middle = float(np.median(r.y[still]))
-    error = MAD * float(np.median(np.abs(r.y[still] - middle))) / np.sqrt(still.sum())
-    if middle <= max(SHAPE.shut, SHAPE.shut_sure * error):
+    from scipy.optimize import nnls
+
+    s, y = r.s[still], r.y[still]
+    middle, design = float(np.median(y)), np.column_stack([s, s**2])
+    law = design @ nnls(design, y)[0]  # it grows with the drop, by many times its noise
+    error = MAD * float(np.median(np.abs(y - law))) / np.sqrt(still.sum())
+    if law.max() <= SHAPE.shut or middle <= SHAPE.shut_sure * error:
         return None
     open_flow = max(SETTINGS.passing, SETTINGS.leak_over * middle)
     passes = medians(medians(r.y, r.cell), r.cell_level) > open_flow
     level = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 1
     some = (r.step < level) & ~r.silent
-    from scipy.optimize import nnls
-
     s, y = r.s[some], r.y[some]
     design = np.column_stack([s, s**2])
     parts = nnls(design, y)[0]

@@ -479,6 +479,28 @@ def test_a_leak_at_rest_has_an_interval_and_leaves_the_deadband_right(goes_on):
     assert compare(found, law)[0] >= 0.9
 
 
+@pytest.mark.parametrize("leak", [0.015, 0.05])
+def test_a_leak_that_grows_with_the_drop_is_no_noise(leak):
+    """From 0.2 to 6.4 MPa it grows 32 times; the map is not open at 0 V for that."""
+
+    def law(drop, command):
+        opened = np.maximum(command - 1.6, 0.0) * 0.8 * np.sqrt(1e-5 * drop)
+        return (opened + leak * 1e-5 * drop) * LPM
+
+    drops = 2e5 * 2.0 ** np.arange(6)
+    found = fit(readings(law, 0, drops=drops))
+    assert "leak_goes_on" in keys(found)
+    assert found.deadband_interval[0] <= 1.6 <= found.deadband_interval[1]
+    assert found.map.flow(6.4e6, 0.0) == pytest.approx(law(6.4e6, 0.0), rel=0.1)
+
+
+def test_an_edge_of_which_the_meter_shows_hardly_anything_has_no_map():
+    """Readings round to 0.01 L/min, most of them to none."""
+    u, drop = (part.ravel() for part in np.meshgrid(COMMANDS, DROPS))
+    q = np.round(np.abs(np.random.default_rng(3).normal(0.0, 0.02, u.size)), 2) * LPM
+    refused_fit("no_flow", {"command": u, "pressure_drop": drop, "flow": q})
+
+
 def test_a_command_that_passes_little_more_than_the_leak_is_open():
     """1.25 V passes 1.44 of it; the leak stays beside the opening."""
 

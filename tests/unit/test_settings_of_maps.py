@@ -185,7 +185,7 @@ def first_span(gap):
 def turns_of(restless):
     """Turns of a fit in which a reading of two comes and goes for so many turns."""
     turns = []
-    cells: Any = Stub(without=lambda _: cells, heard=np.zeros(2))
+    cells: Any = Stub(without=lambda _: cells, heard=np.zeros(2), weighed=99)
     bent: Any = Stub(spline=lambda: Stub(rows=1, design=lambda *_: None))
     solution = Stub(flow=np.ones(2), widening=1.0, lone=np.zeros(2, bool), spline=bent.spline())
     solution.cells, solution.variance = Stub(heard=np.full(2, 99.0)), lambda _: np.zeros(2)
