@@ -101,19 +101,23 @@ def serve(
         raise InputError(message("links.card", url=url))
     trial, target = served(file, on, rate, watchdog, allow_code)
     fields = {"machine": trial.machine.name, "rig": trial.rig.name, "url": url}
-    print(message("links.serving", rate=target.rate, **fields), file=sys.stderr, flush=True)
     names = layout.Layout.of(trial.rig).names(address.mode)
+
+    def ready() -> None:
+        print(message("links.serving", rate=target.rate, **fields), file=sys.stderr, flush=True)
+
     try:
         if address.scheme == "modbus":
             from ehbench.links import modbus
 
             place = (address.host, address.port)
-            modbus.serve(target, place, names, address.map, address.virtual)
+            modbus.serve(target, place, names, address.map, address.virtual, ready)
         elif address.scheme == "can" and address.map is not None:
             from ehbench.links import can
 
-            can.serve(target, address.host, address.channel, names, address.map)
-        elif address.virtual:
+            can.serve(target, address.host, address.channel, names, address.map, ready)
+        ready()
+        if address.virtual:
             serve_virtual(target, address.port, address.host)
         with punctual(SERVING, pinned=False):
             responder.serve(target, address.port, address.host)

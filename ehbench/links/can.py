@@ -1,7 +1,7 @@
 """Vectors as frames of CAN, by a DBC file: signals ``up_press_x``, ``down_press_servo_command``."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,11 +109,17 @@ class CanLink:
 
 
 def serve(
-    target: Target, interface: str, channel: str, names: tuple[Sequence[str], Sequence[str]], path
+    target: Target,
+    interface: str,
+    channel: str,
+    names: tuple[Sequence[str], Sequence[str]],
+    path: Path,
+    ready: Callable[[], None],
 ) -> None:
-    """Serve a target on a CAN bus, on its own clock."""
+    """Serve a target on a CAN bus, on its own clock; ``ready`` is called when the bus is open."""
     up, down = (Frames(way, n, path) for way, n in zip(FRAMES, names, strict=True))
     with open_bus(interface, channel) as bus:
+        ready()
         due = time.monotonic()
         while True:
             while (frame := bus.recv(max(due - time.monotonic(), 0.0))) is not None:

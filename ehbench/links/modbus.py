@@ -3,7 +3,7 @@
 import asyncio
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -149,10 +149,12 @@ def serve(
     target: Target,
     place: tuple[str, int],
     names: tuple[Sequence[str], Sequence[str]],
-    path: Path | None = None,
-    virtual: bool = False,
+    path: Path | None,
+    virtual: bool,
+    ready: Callable[[], None],
 ) -> None:
-    """Serve a target as a Modbus server, on its own clock or on that of its host."""
+    """Serve a target as a Modbus server, on its own clock or on that of its host; ``ready`` is
+    called as it begins."""
     from pymodbus.server import StartAsyncTcpServer
     from pymodbus.simulator import DataType, SimData, SimDevice
 
@@ -188,4 +190,5 @@ def serve(
         device = SimDevice(1, [data], action=act)
         await asyncio.gather(StartAsyncTcpServer(device, address=place), ticks())
 
+    ready()
     asyncio.run(both())

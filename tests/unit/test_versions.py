@@ -392,7 +392,8 @@ def store() -> None:
     files = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in RUNS:
-            run = made(Path(folder), name)
+            (root := Path(folder) / name).mkdir()  # as in the tests: others have a `first` too
+            run = made(root, name)
             numbers[name] = numbers_of(name, run)
             if name in versions.STAGES:
                 files[name] = {"schema": Versions.of(name).schema, "names": files_of(run)}
