@@ -2,7 +2,7 @@
 with which numbers.
 
 The output is ``gain · form(input) + offset``, offset and start each log's own. Forms have unit gain
-at rest, their input goes straight from sample to sample."""
+at rest, their input is held from sample to sample, as commands are, or goes straight."""
 
 import math
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ class Transfer:
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
-def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
+def transfers(pairs: Pairs, rate: float, held: bool = False) -> tuple[Transfer, ...]:
     """Every form fitted to logs, the preferred first: the best of those with the fewest numbers
     that come within a percent of fit of the best of all, its standard errors widened by what the
     best of those with more numbers has otherwise. A form with a pole or a delay at a bound, or with
@@ -97,8 +97,9 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
 
     Args:
         pairs: input and output of each log.
-        rate: samples per second."""
-    results = [item for form in FORMS if (item := _fit_form(form, pairs, rate)) is not None]
+        rate: samples per second.
+        held: whether the input is held from sample to sample; else it goes straight."""
+    results = [item for form in FORMS if (item := _fit_form(form, pairs, rate, held)) is not None]
     if not results:
         return ()
     level = {item.form: float(np.mean(item.fit_percent)) for item in results}
@@ -121,7 +122,7 @@ def notes_of(forms: Sequence[Transfer]) -> tuple[Message, ...]:
     return (message("frequency_response.early_form", **fields),) if sure else ()
 
 
-def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
+def _fit_form(form: str, pairs: Pairs, rate: float, held: bool) -> Transfer | None:
     """A form's best fit; None where a number lies on its bound or the logs do not show a pole."""
     from scipy.optimize import least_squares
 
@@ -131,7 +132,7 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
     size = math.sqrt(float(np.mean([np.var(y) for _, y in pairs])))
 
     def residuals(theta: np.ndarray) -> np.ndarray:
-        outputs = _outputs(theta, form, pairs, rate)[1]
+        outputs = _outputs(theta, form, pairs, rate, held)[1]
         return np.concatenate([y - s for s, (_, y) in zip(outputs, pairs, strict=True)]) / size
 
     starts = np.geomspace(4.0 * low, 0.1 * high, 6)
@@ -147,7 +148,7 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
     best = least_squares(
         residuals, np.clip(begin, *bounds), bounds=bounds, x_scale="jac", diff_step=1e-5
     )
-    gain, seen = _outputs(best.x, form, pairs, rate)
+    gain, seen = _outputs(best.x, form, pairs, rate, held)
     tau = float(np.median([correlation_time(y - s) for s, (_, y) in zip(seen, pairs, strict=True)]))
     inverse = np.linalg.pinv(best.jac.T @ best.jac)
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * float(np.mean(best.fun**2)) * tau)
@@ -172,11 +173,11 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
 
 
 def _outputs(
-    theta: np.ndarray, form: str, pairs: Pairs, rate: float
+    theta: np.ndarray, form: str, pairs: Pairs, rate: float, held: bool
 ) -> tuple[float, list[np.ndarray]]:
     """(gain, outputs) of a form: logarithms of natural frequency and damping ratio, of its poles
     [rad/s], then its delay [samples]."""
-    from scipy.signal import cont2discrete, lfilter, lfilter_zi
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi, ss2tf, tf2ss
 
     poles, pair, late = FORMS[form]
     roots = -np.exp(theta[2 * pair : 2 * pair + poles]).astype(complex)
@@ -184,16 +185,29 @@ def _outputs(
         omega, zeta = np.exp(theta[:2])
         root = omega * (-zeta + 1j * math.sqrt(max(1.0 - zeta**2, 0.0)))
         roots = np.append(roots, [root, root.conjugate()])
-    whole = np.real(np.poly(roots))
-    # exact for an input that goes straight from sample to sample
-    discrete: Any = cont2discrete(([whole[-1]], whole), 1.0 / rate, "foh")
-    above, below = discrete[0][0], discrete[1]
-    still = lfilter_zi(above, below)
+    whole, delay = np.real(np.poly(roots)), float(theta[-1]) if late else 0.0
+    parts: list[tuple[np.ndarray, float]]  # of the answer: numerator, delay of its input [samples]
+    if held:  # exact: within a sample the last input but one acts first, for a part of it
+        a, b, c, _ = tf2ss([whole[-1]], whole)
+        share = delay - math.floor(delay)
+        steps: Any = [
+            cont2discrete((a, b, c, 0.0), part / rate, "zoh") for part in (share, 1.0 - share)
+        ]
+        (first, before, *_), (last, now, *_) = steps
+        inputs = np.hstack([now, last @ before])
+        tops = [ss2tf(last @ first, inputs, c, np.zeros((1, 2)), input=i) for i in range(2)]
+        below = tops[0][1]
+        parts = [(top[0], math.floor(delay) + i) for i, (top, _) in enumerate(tops)]
+    else:
+        discrete: Any = cont2discrete(([whole[-1]], whole), 1.0 / rate, "foh")
+        below, parts = discrete[1], [(discrete[0][0], delay)]
+    stills = [lfilter_zi(above, below) for above, _ in parts]
     bases = []
     for u, y in pairs:
-        at = np.arange(u.size, dtype=float)
-        s = np.interp(at - theta[-1], at, u) if late else u
-        s = lfilter(above, below, s, zi=still * s[0])[0]
+        at, s = np.arange(u.size, dtype=float), np.zeros(u.size)
+        for (above, shift), still in zip(parts, stills, strict=True):
+            moved = np.interp(at - shift, at, u)
+            s = s + lfilter(above, below, moved, zi=still * moved[0])[0]
         # what the log's own offset and start add: a constant, and how the form comes to rest
         fading: Any = np.exp(np.outer(at / rate, roots[: poles + pair]))
         ends = [fading.real, fading.imag[:, poles:]]

@@ -97,7 +97,8 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         assert prepared.signals is not None  # a run has all its logs
         result = estimate(prepared.signals)
         signals = prepared.signals
-        forms = transfers(signals.pairs, signals.rate) if recipe.transfer else ()
+        held = recipe.input.endswith(".command")
+        forms = transfers(signals.pairs, signals.rate, held) if recipe.transfer else ()
         warnings = (*result.warnings, *notes_of(forms))
         unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
         table = {

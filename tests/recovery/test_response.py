@@ -269,6 +269,31 @@ def test_a_second_order_is_found_with_its_interval(ratio, delay):
     assert all(note.fields["early"] == pytest.approx(20.0, abs=1.0) for note in notes)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.015])
+@pytest.mark.parametrize("omega", [6.0 * np.pi, 24.0 * np.pi])
+def test_the_answer_to_held_commands_is_found_with_its_interval(omega, delay):
+    """Steps, held over each sample, and SciPy's simulation of them between the samples."""
+    rng, fine = np.random.default_rng(3), 50
+    u = np.repeat(rng.uniform(-1.0, 1.0, 60), 25)
+    t = np.arange(u.size * fine) / (100.0 * fine)
+    acting = np.concatenate([np.full(round(delay * 100.0 * fine), u[0]), np.repeat(u, fine)])
+    pair = ([omega**2], [1.0, 0.4 * omega, omega**2])
+    rest = signal.tf2ss(*pair)
+    start = -np.linalg.solve(rest[0], rest[1]).ravel() * u[0]
+    _, y, _ = signal.lsim(rest, acting[: t.size], t, X0=start, interp=False)
+    seen = y[::fine] + 0.01 * rng.standard_normal(u.size)
+    best, *_ = transfers([(u, seen)], 100.0, held=True)
+    assert best.form == ("second order and delay" if delay else "second order")
+    for value, std, true in (
+        (best.natural_frequency, best.natural_frequency_std, omega),
+        (best.damping_ratio, best.damping_ratio_std, 0.2),
+        *([(best.delay, best.delay_std, delay)] if delay else []),
+    ):
+        assert std is not None and abs(value - true) < 2.5 * std < 0.05 * abs(true)
+    straight, *_ = transfers([(u, seen)], 100.0)
+    assert straight.delay == pytest.approx(delay + 0.005, abs=1e-3)  # half a sample later
+
+
 @pytest.mark.parametrize("delay", [-0.02, 0.0])
 @pytest.mark.parametrize("ratio", [0.1, 0.3])
 def test_a_lack_of_fit_widens_the_intervals_of_the_preferred_form(ratio, delay):

@@ -276,7 +276,7 @@ def begun(form):
     import scipy.optimize
 
     seen = []
-    work = lambda: transfer._fit_form(form, [(np.ones(64), np.arange(64.0))], 1.0)  # noqa: E731
+    work = lambda: transfer._fit_form(form, [(np.ones(64), np.arange(64.0))], 1.0, False)  # noqa: E731
     with answers(transfer, _outputs=lambda theta, *_: seen.append(np.exp(theta)) or (0.0, [1.0])):
         first_call(scipy.optimize, "least_squares", work)
     per = (lambda item: item[0]) if form == "two poles" else lambda _: 1.0
@@ -291,7 +291,7 @@ def on_edge(off, damping=()):
     x = np.append(math.log(2.0 * math.pi / 64.0) + off, np.log(damping))
     best = Stub(x=x, jac=1e9 * np.eye(64, x.size), fun=np.ones(64))
     with answers(scipy.optimize, least_squares=lambda *_, **__: best):
-        return transfer._fit_form(form, pairs, 1.0) is not None
+        return transfer._fit_form(form, pairs, 1.0, False) is not None
 
 
 def tracks(alike, rough=-1.0):
