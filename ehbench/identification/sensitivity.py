@@ -131,6 +131,14 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
             unasked = (*unasked, item.row.name)
             continue
         pair = _confirmed(fit, result, item, effort)
+        within = pair is not None and pair[1].beyond <= BEYOND and effort.evaluations < limit
+        if within and state.ranges:
+            # a wrong model may have taken these to where no slope leads away: from their start
+            freed = result.with_ranges()
+            back = {i: fit.search[i].begin - state.theta[i] for i in state.ranges}
+            follow = np.array([back.get(i, 0.0) for i in freed.state.live])
+            again = _confirmed(fit, freed, replace(item, follow=follow), effort)
+            pair = max(filter(None, (pair, again)), key=lambda pair: pair[1].explains)
         confirmed += [] if pair is None else [pair]
     explained = [item.explains for item in (*suspects, *(i for _, i in confirmed))]
     likely = [
@@ -392,6 +400,11 @@ def _confirmed(
     row, state = item.row, result.state
     try:
         freed, begin, new = _freed(fit, state, item, effort)
+        if cost(freed, begin) > cost(fit, state):  # slopes may not reach so far
+            back = [result.by_index[i].source == "range" for i in state.live]
+            alone = replace(item, follow=np.where(back, item.follow, 0.0))
+            starts = ((freed, begin, new), _freed(fit, state, alone, effort))
+            freed, begin, new = min(starts, key=lambda start: cost(start[0], start[1]))
         end, _ = solve(freed, begin, 1e-3, secant=True)
         there = errors_of(freed, evaluate(freed, end))
     except IMPOSSIBLE:

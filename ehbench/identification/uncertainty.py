@@ -45,6 +45,19 @@ class Errors:
     covariance: np.ndarray
     alone: np.ndarray
 
+    def with_ranges(self) -> "Errors":
+        """With those free, too, of which the logs deny a part of their range: known by what is
+        left of it, without the derivatives there."""
+        state, ranges = self.state, self.state.ranges
+        known = {
+            i: Error((high - low) / (2.0 * Z95), Z95, "range", "estimated", 1.0, 0.0)
+            for i, (low, high) in ranges.items()
+        }
+        columns = {(i, k): by for (i, k), by in state.here.columns.items() if i not in ranges}
+        free, point = tuple(sorted({*state.free, *ranges})), replace(state.here, columns=columns)
+        state = replace(state, free=free, ranges={}, point=point)
+        return replace(self, by_index=self.by_index | known, state=state)
+
 
 def errors_of(problem: Problem, state: State) -> Errors:
     """Standard errors of the parameters in search coordinates at an evaluated state, and what they

@@ -15,7 +15,7 @@ METHODS: Mapping[str, int] = {
     "plant": 2,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 10,
-    "output_error": 9,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 10,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 2,
     "diagnosis": 11,

@@ -4,13 +4,19 @@ rig."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
+from ehbench.data import read
+from ehbench.diagnosis import DOMINANT
 from ehbench.diagnosis.faults import hypotheses
 from ehbench.identification import sensitivity
-from ehbench.identification.hydraulics import identify_hydraulics
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.identification.simulator import Effort
 from ehbench.report.terminal import answer
+from ehbench.validation.results import speaking_against
+from tools.power import machine as power
 from tools.studies.held_study import FATIGUE, fitted, held_wrong, log_of, off_by, rig_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
 
@@ -78,6 +84,54 @@ def test_a_law_of_friction_that_the_rig_file_does_not_have_is_named():
     assert lean.sentence.key == "identification.absent_fixed"
     moved = {item.name: item for item in lean.moved}["press.friction_coulomb"]
     assert moved.here > moved.there >= coulomb and moved.halves > 2.0
+
+
+# a slide whose friction fades from 1.8 times Coulomb's over 20 mm/s, and its commands [V] from [s]
+STICKY = power.Machine(
+    kind="slide", spools=1, bore=0.06415, rod=0.04244, stroke=0.5295, volume_head=5.377e-4,
+    volume_rod=1.3195e-3, bulk_modulus=7.944e8, supply=1.0365e7, tank=2.667e5, mass=315.8,
+    damping=1587.4, omega=288.1, zeta=0.914, gain=(5.4e-8, 6.52e-8, 4.38e-8, 1.0135e-7),
+    deadband=0.0, leakage_internal=5.9085e-12, coulomb=489.7, static=881.4, stribeck_speed=0.02,
+)  # fmt: skip
+LEVELS = (
+    ((0.164, -2.2), (0.526, 0.71), (0.899, -1.39), (1.174, 2.16), (1.524, 0.0)),
+    ((0.179, 2.34), (0.559, -1.23), (0.84, 0.81), (1.219, -2.49), (1.572, 0.0)),
+)
+
+
+@pytest.mark.slow
+def test_what_a_missing_law_takes_to_an_end_of_its_range_is_told_beside_the_law(tmp_path):
+    """The equations of the power study record it. Without the law the logs deny all of the damping
+    but its lower end, where no slope leads away from, and the law alone moves nothing else far."""
+    rng, logs = np.random.default_rng(1), []
+    for k, levels in enumerate(LEVELS):
+        u = np.zeros((2001, 1))
+        for start, level in levels:
+            u[round(1e3 * start) :] = level
+        rod = 0.4 * STICKY.supply
+        head = rod * STICKY.areas[1] / STICKY.areas[0]
+        test = power.Test(u, np.array([0.45 * STICKY.stroke, 0.0, head, rod, 0.0, 0.0]))
+        signals = power.channels(STICKY, power.simulated(STICKY, test))
+        noise = {name: power.QUIET[name] * rng.standard_normal(len(u)) for name in signals}
+        (tmp_path / f"log{k}.csv").write_text(power.log_text(STICKY, test, signals, noise))
+        logs.append((f"log {k}", read(tmp_path / f"log{k}.csv")))
+    (tmp_path / "rig.toml").write_text(power.rig_text(replace(STICKY, static=0.0, damping=2857.0)))
+    options = FitOptions(
+        start={"ram.friction_coulomb": 200.0},
+        lower={"carriage.damping": 31.7},
+        upper={"carriage.damping": 79000.0, "ram.friction_coulomb": 5000.0},
+    )
+    names = ["bulk_modulus", "carriage.damping", "ram.friction_coulomb", "ram.leakage_internal"]
+    fit = identify_hydraulics(load_rig(tmp_path / "rig.toml"), logs, names, options)
+    lean = fit.leans[0]
+    assert lean.name == "ram.friction_static" and lean.there == pytest.approx(881.4, rel=0.1)
+    moved = {item.name: item for item in lean.moved}
+    damping, coulomb = moved["carriage.damping"], moved["ram.friction_coulomb"]
+    assert damping.here < 100.0 and damping.halves > 2.0 and coulomb.here > 600.0
+    assert damping.there == pytest.approx(1587.4, rel=0.1)
+    assert coulomb.there == pytest.approx(489.7, rel=0.05)
+    # a model without the law is not accepted plainly for that: it makes most of what is left
+    assert lean.explains > DOMINANT and speaking_against(fit.as_json())
 
 
 def of_slide(machine, rig, payload=None, seed=11):

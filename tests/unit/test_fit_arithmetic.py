@@ -1004,6 +1004,70 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
         assert (lean.std, lean.explains) == pytest.approx((0.1, 0.2))
 
 
+@pytest.mark.parametrize(
+    ("far", "alone", "chosen"), [(90.0, 10.0, 1), (110.0, 90.0, 0), (110.0, 120.0, 1)]
+)
+def test_a_row_is_freed_from_its_own_step_alone_where_slopes_lead_astray(far, alone, chosen):
+    """The step of what follows it is taken unless the logs are followed worse there than here; what
+    goes back to its start does so in either."""
+    search = [Coordinate(name, False, 1.0, 1.0, -9.0, 9.0) for name in "abc"]
+    fit: Any = Stub(search=search[:2], simulator=Stub(rig=None))
+    errors = {0: Stub(source="hac"), 1: Stub(source="range"), 2: Stub(std=0.1)}
+    result: Any = Stub(state=Stub(live=(0, 1)), by_index=errors)
+    row: Any = Stub(numbers=(), remedy=lambda *_: "")
+    item = sensitivity._Suspect(row, [], (), delta=1.0, follow=np.array([5.0, 7.0]))
+
+    def freed(_, __, asked, effort):
+        theta = np.array([*asked.follow, 1.0])
+        return Stub(search=search), Stub(theta=theta, cost=far if theta[0] else alone), [2]
+
+    def solved(_, begin, *given, **more):
+        ended.append(begin)
+        return begin, True
+
+    ended = []
+    with answers(sensitivity, _freed=freed, solve=solved, evaluate=lambda _, state: state,
+                 errors_of=lambda _, state: Stub(state=state, by_index=errors), _moved=(),
+                 cost=lambda _, state: getattr(state, "cost", 100.0)):  # fmt: skip
+        sensitivity._confirmed(fit, result, item, Stub())  # pyright: ignore[reportArgumentType]
+    assert [list(begin.theta) for begin in ended] == [[5.0 * chosen, 7.0, 1.0]]
+
+
+def test_what_lies_at_an_end_of_its_range_goes_back_beside_a_row_that_moves_nothing():
+    """From where its search began, free, by derivatives that are taken anew; known by its range."""
+    asked = analytic_fit.problem()
+    state = evaluate(asked, initial(asked))
+    jacobian(asked, state, (0, 1, 2))
+    (low, _), here = asked.search[1].bounds, float(state.theta[1])
+    ranges = {1: (low, low + 0.5)}
+    state = replace(state.moved(1, low).fixed(1), ranges=ranges)
+    errors = {i: uncertainty.Error(0.1, 2.0, "hac", "estimated", 1.0, 0.0) for i in (0, 2)}
+    result = uncertainty.Errors(errors, (), np.eye(2), state, [], np.eye(2), np.ones(2))
+    row: Any = Row(name="mass", certainty=0, kind="mass", numbers=())
+    item = sensitivity._Suspect(row, [], (0,), 0.3, 1.0, np.array([1.0, 2.0]),
+                                (Moved("m", 1.0, 2.0, 0.8),))  # fmt: skip
+    seen = []
+
+    def confirmed(_, errors, asked, effort):
+        seen.append((errors, asked))
+        moved = (Moved("m", 1.0, 2.0, 0.8 if asked is item else 3.0),)
+        return row, Lean("m", 1.0, 2.0, 0.1, 0.2 + 0.2 * (asked is not item), moved, "")
+
+    with answers(sensitivity, _only_noise=False, _screened=([], ()), _promising=lambda *_: [item],
+                 _confirmed=confirmed, _sentence="told"):  # fmt: skip
+        found = sensitivity.doubts_of(asked, state, result)
+        assert [lean.explains for lean in found.leans] == [0.4]
+        without = replace(state, ranges={})
+        assert not sensitivity.doubts_of(asked, without, replace(result, state=without)).leans
+    (first, before), (freed, after), *_ = seen
+    assert len(seen) == 3 and first is result and before is item
+    assert freed.state.live == (0, 1, 2) and not freed.state.ranges
+    assert list(after.follow) == pytest.approx([0.0, here - low, 0.0])
+    assert {i for i, _ in freed.state.here.columns} == {0, 2}
+    known = freed.by_index[1]
+    assert known.quantile * known.std == pytest.approx(0.25) and known.source == "range"
+
+
 def test_a_reading_is_freed_where_a_slope_says_and_with_all_that_is_known():
     asked = analytic_fit.problem()
     plain = {"rig": None, "maps": None, "workers": 1, "step": "auto", "names": analytic_fit.NAMES}
@@ -1257,7 +1321,8 @@ def test_doubts_are_of_the_gain_that_promises_most_and_of_what_fits_confirm():
     with answers(sensitivity, _only_noise=False, _promising=lambda *_: every,
                  _screened=lambda *given: counts.append(given[3]) or ([], ("unasked",)),
                  _release=Stub(std=0.1), _confirmed=confirmed, _sentence="told"):  # fmt: skip
-        found = sensitivity.doubts_of(fit, Stub(), Stub())  # pyright: ignore[reportArgumentType]
+        state: Any = Stub(ranges={})
+        found = sensitivity.doubts_of(fit, state, Stub())  # pyright: ignore[reportArgumentType]
     assert counts == [120] and found.unasked == ("unasked",)
     (gain,) = found.warnings
     fields: Any = gain.fields  # pyright: ignore[reportAttributeAccessIssue]

@@ -244,6 +244,18 @@ def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):
     assert "doubtful" not in row
 
 
+def test_what_stood_at_an_end_of_its_range_is_doubtful_beside_what_a_fit_leans_on(
+    folders, tmp_path
+):
+    known = json.loads((folders[0] / "parameters.json").read_text())["parameters"]
+    ranged = [item | {"error_from": "range", "status": "estimated"} for item in known]
+    for leans, doubtful in (([LEAN], True), ([], False)):
+        folder = changed(folders[0], tmp_path / str(len(leans)), leans=leans, parameters=ranged)
+        told = terminal.answer(folder).lines(200, whole=True)
+        (row,) = [line for line in told if line.startswith("boom.joint_damping ")]
+        assert ("doubtful" in row) == doubtful
+
+
 def test_a_sensitive_fit_gives_a_reservation(folders, tmp_path):
     reserves = {"accepted": True, "reasons": [], "reservations": [LEAN["sentence"]]}
     folder = changed(folders[1], tmp_path / "judged", **reserves)

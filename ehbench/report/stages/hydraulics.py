@@ -273,9 +273,12 @@ def findings(run: Saved) -> Findings:
 
 
 def estimates_of(fit: Table) -> list[Table]:
-    """The parameters of a fit; doubtful ones are sensitive to a denied fixed number."""
+    """The parameters of a fit; doubtful ones are sensitive to a denied fixed number, or stood at an
+    end of their range beside it."""
     moved = [item for fixed in fit.get("leans", []) for item in fixed["moved"]]
     far = {item["name"] for item in moved if item["halves"] > BEYOND}
+    if far:
+        far |= {item["name"] for item in fit["parameters"] if item.get("error_from") == "range"}
     return [
         parameter.having("status", DOUBTFUL)
         if parameter["name"] in far and parameter["status"] == "estimated"
