@@ -233,7 +233,7 @@ class Inputs:
             with gathered(errors):
                 path = place / "log.mcap" if (place / "log.mcap").is_file() else place
                 whole, others = self._read(item, index, path, path is not place, maps, rig)
-                record = self._taken(whole, item, index, path)
+                record = self._taken(whole, item, index, path, rig)
                 scored = getattr(item, "scored", None)
                 parts, texts = parts_of(name, record, driven=driven, within=scored)
                 losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
@@ -308,13 +308,18 @@ class Inputs:
         record = read(path, columns=columns, window=span_of(item), additional=others)
         return record, others
 
-    def _taken(self, record: Record, item: DataFile, index: int, path: Path) -> Record:
+    def _taken(self, record: Record, item: DataFile, index: int, path: Path, rig: Rig) -> Record:
         """The part of a record that an entry names, with its payload and forces, and what a
         simulation takes from it, by the entry or the recipe."""
         import numpy as np
 
         from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
+        forces = [f.channel for axis in rig.cylinder for f in axis.force if f.kind == "channel"]
+        if unknown := sorted(set(item.force) - set(forces)):
+            fields = {"channel": unknown[0], "known": ", ".join(map(str, forces)) or "none"}
+            text = message("stages.no_force", rig=rig.name, **fields)
+            raise InputError(text, **self.recipe.at("data", index))
         low, high = span_of(item)
         inside = (record.t >= low) & (record.t <= high)
         if inside.sum() < 3 <= record.t.size:

@@ -32,6 +32,7 @@ from ehbench.trial.preparation import Stop
 from ehbench.trial.running import Facts, _coarse_stroke
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import is_warning
 from tests.shared import RECIPES, RIGS, shipped
 from tests.tables import rows
 
@@ -746,5 +747,5 @@ def test_a_stroke_in_coarser_counts_than_the_controller_takes_is_told(count, tol
     known = {"gains": {"stroke_resolution": 2.5e-5}}
     notes = list(_coarse_stroke(record, known, shipped("slide_servo"), "press"))
     assert [note.key for note in notes] == ["trial.coarse_stroke"] * told
-    assert all(note.fields["count"] == "1 mm" for note in notes)
+    assert all(note.fields["count"] == "1 mm" and is_warning(note) for note in notes)
     assert not list(_coarse_stroke(record, {}, shipped("slide_servo"), "press"))

@@ -13,7 +13,7 @@ from ehbench.report.saved import FigureIndex, Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
 from ehbench.report.words import capital, number, pretty, shown, unit_of, with_error
-from ehbench.vocabulary import Z95
+from ehbench.vocabulary import Z95, message
 
 # key of response.json, what it is called, its unit there and on the page, the factor between them
 NUMBERS = (
@@ -135,7 +135,8 @@ def findings(run: Saved) -> Findings:
             about = Template("headlines").text("interval", ends=ends, unit=unit)
             value = f"{number(factor * result['value'], 3)} {unit}"
             numbers.append(Headline(OFTEN, capital(label), value, about))
-    return Findings(numbers, [{"kind": "response"}], table["warnings"])
+    steps = [] if table.get("transfers") else [message("steps.forms")]
+    return Findings(numbers, [{"kind": "response"}], table["warnings"], steps)
 
 
 REPORT = StageReport(
