@@ -116,10 +116,11 @@ def serve(
             from ehbench.links import can
 
             can.serve(target, address.host, address.channel, names, address.map, ready)
-        ready()
-        if address.virtual:
-            serve_virtual(target, address.port, address.host)
-        with punctual(SERVING, pinned=False):
-            responder.serve(target, address.port, address.host)
+        else:
+            ready()
+            if address.virtual:
+                serve_virtual(target, address.port, address.host)
+            with punctual(SERVING, pinned=False):
+                responder.serve(target, address.port, address.host)
     except OSError as error:
         raise InputError(message("links.system", url=url, why=error.strerror)) from error

@@ -501,8 +501,7 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
             channel = f"{cylinder.name}.{word}"
             if channel not in record:
                 continue
-            y = turn * record[channel]
-            y = y if word in ("x", "q") else np.cumsum(y) * record.sample_time
+            y = turn * _way(record, channel)
             gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
             far = path > SETTINGS.travel * _travel_of(cylinder, word)
@@ -519,15 +518,19 @@ def _turned(name: str, channel: str, **fields: str) -> Message:
     return message("preprocessing.turned", weight=0.8, **written)
 
 
+def _way(record: Record, channel: str) -> np.ndarray:
+    """A position, or the integral of a speed."""
+    y = record[channel]
+    return y if channel.endswith((".q", ".x")) else np.cumsum(y) * record.sample_time
+
+
 def _travels(record: Record, cylinder: Cylinder) -> bool:
     """Whether a position, or the integral of a speed, changes by more than sensors err."""
     for word in ("q", "x", "qd", "v"):
         channel = f"{cylinder.name}.{word}"
         if channel not in record:
             continue
-        y = record[channel]
-        way = y if word in ("q", "x") else np.cumsum(y) * record.sample_time
-        if np.ptp(way) > SETTINGS.travel * _travel_of(cylinder, word):
+        if np.ptp(_way(record, channel)) > SETTINGS.travel * _travel_of(cylinder, word):
             return True
     return False
 
@@ -599,8 +602,7 @@ def idle_at_first(
         words = (word for word in ("q", "x", "qd", "v") if f"{cylinder.name}.{word}" in record)
         if not {"head", "rod"} <= ends or (word := next(words, None)) is None:
             continue
-        y = record[f"{cylinder.name}.{word}"]
-        way = y if word in ("q", "x") else np.cumsum(y) * record.sample_time
+        way = _way(record, f"{cylinder.name}.{word}")
         usual = np.abs(way[rest:] - way[:-rest]).max(initial=0.0)
         surely = usual > SETTINGS.travel * _travel_of(cylinder, word)
         if surely and np.ptp(way[:rest]) < SETTINGS.ongoing * share * usual:

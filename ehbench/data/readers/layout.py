@@ -38,9 +38,8 @@ _START_HEADS = ("x0", "hoffset", "start", "t0", "x origin", "xorigin")
 _TIME_NAMES = (*TIME_NAMES, "x_value")
 _FACT = re.compile(r"([^:=]+)[:=](.*)")  # a title and what it says
 _REMARKED = re.compile(r"\s*(?:[#%]|//)[#%/ ]*([^\W\d][^:=,;|\t()\[\]{}]*)[:=](.*)")
-_TITLED = re.compile(
-    r"[,;|\t]\s*[^\W\d][^,;|\t]*[:=](?!\d)"
-)  # a further cell with a title of its own
+# a further cell with a title of its own
+_TITLED = re.compile(r"[,;|\t]\s*[^\W\d][^,;|\t]*[:=](?!\d)")
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 # how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
 _CLOCK_FORM = re.compile(
