@@ -739,6 +739,30 @@ def test_the_decay_of_a_shaped_step_begins_with_its_level():
     assert result.damping_ratio == pytest.approx(0.1, abs=0.002)
 
 
+def test_a_step_that_its_controller_shapes_decays_as_any_other(tmp_path):
+    """The loop is the same; what its shaped speed makes of it is no part of the decay."""
+    text = f"""{OPEN}[motion]
+kind = "velocity_steps"
+levels = ["80 mm/s"]
+travel = "150 mm"
+[controller]
+kind = "pressure_feedback"
+gains = {{ feedback_gain = "2e-11 m^3/(s Pa)", washout = "2 rad/s" }}
+"""
+    limits = 'acceleration_max = "0.4 m/s^2", jerk_max = "4 m/s^3"'
+    results = []
+    for shaping in (
+        "",
+        f"shaping = {{ {limits} }}",
+        "shaping = { natural_frequency = '3 Hz', damping_ratio = 0.8 }",
+    ):
+        trial = run_trial(shipped("boom_four_valve"), closed(tmp_path, shaping, text))[1]
+        (step,) = trial.measures["steps"]
+        results.append((step["damping_ratio"], step["natural_frequency"]))
+    plain, *shaped = results
+    assert shaped == [(pytest.approx(plain[0], abs=0.01), pytest.approx(plain[1], rel=0.05))] * 2
+
+
 @pytest.mark.parametrize(("count", "told"), [(1e-3, True), (2.5e-5, False), (0.0, False)])
 def test_a_stroke_in_coarser_counts_than_the_controller_takes_is_told(count, told):
     x = np.linspace(0.1, 0.2, 1001) ** 2
