@@ -315,7 +315,8 @@ def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
 
 def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | None:
     """What the tune run says that a recipe names, from ``folder`` or, without one, from where the
-    recipe points; ``parameters`` [SI] are those of the rig that the run leaves.
+    recipe points; ``parameters`` [SI] are those of the rig that the run leaves, ``validated`` and
+    ``reservations`` what its validation said of it.
 
     Raises:
         InputError: there is no ``tuning.json``.
@@ -330,18 +331,27 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
         where = recipe.at(*controller_of(recipe).where, "gains")
         raise InputError(message("trial.gains_of_recipe", name=name), **where)
     is_run = all(path.with_name(file).is_file() for file in ("run.json", "rig.toml"))
-    known = load_rig(path.parent).parameters() if is_run else {}
-    numbers = {name: float(value) for name, value in known.items()}
-    return read_json(path) | ({"parameters": numbers} if numbers else {})
+    known = {}
+    if is_run:
+        facts = read_json(path.with_name("run.json"))
+        known = {name: facts[name] for name in ("validated", "reservations") if name in facts}
+        numbers = load_rig(path.parent).parameters()
+        known["parameters"] = {name: float(value) for name, value in numbers.items()}
+    return read_json(path) | known
 
 
 def not_as_tuned(
     recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
 ) -> tuple[Message, ...]:
-    """Notes where gains were tuned for another supply, rig, tick or law than the trial's."""
+    """Notes where gains were tuned for another supply, rig, tick or law than the trial's, or on a
+    rig that no validation accepted without reservation."""
     if tuning is None:
         return ()
     notes = (*other_supply(rig, tuning), *other_rig(rig, tuning))
+    if not tuning.get("validated", True):
+        notes += (message("trial.tuned_unvalidated"),)
+    for reason in tuning.get("reservations", ())[:1]:
+        notes += (message("trial.tuned_with_reservation", reason=reason),)
     tick, chosen = 1.0 / float(recipe.rate), recipe.controller
     if (tuned := tuning.get("tick")) is not None and _differ(tuned, tick):
         notes += (message("trial.other_tick", tuned=1e3 * tuned, tick=1e3 * tick),)

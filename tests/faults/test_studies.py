@@ -402,8 +402,9 @@ def test_gains_of_a_rig_of_other_numbers_are_noted_wherever_they_are_used(tmp_pa
     (tmp_path / "tuned").mkdir()
     write_rig(tmp_path / "tuned", rig.with_values(known), None)
     tuning = {"cylinder": "press", "feedback_gain": {"extend_resistive": 3e-12}, "washout": 5.0}
+    facts = {"validated": False, "reservations": ["mass: 3 % more", "bore: 1 % more"]}
     (tmp_path / "tuned" / "tuning.json").write_text(json.dumps(tuning))
-    (tmp_path / "tuned" / "run.json").write_text("{}")
+    (tmp_path / "tuned" / "run.json").write_text(json.dumps(facts))
     text = """stage = "trial"
 rig = "{rig}"
 [motion]
@@ -425,14 +426,22 @@ measures = ["tracking.max_error"]
 """
     (tmp_path / "study.toml").write_text(study)
 
+    def of_tuning(notes):
+        """What they say of the rig's numbers; what its validation said is always there."""
+        by_key = {getattr(note, "key", ""): note for note in notes}
+        assert is_warning(by_key["trial.tuned_unvalidated"])
+        reserved = by_key["trial.tuned_with_reservation"]
+        assert is_warning(reserved) and reserved.fields["reason"] == "mass: 3 % more"
+        return [note for note in notes if getattr(note, "key", "") == "trial.other_rig"]
+
     def noted(work, name):
         outcome = work(workflow.Session(out=tmp_path / name, unvalidated=True))
-        return [note for note in outcome.notes if note.key == "trial.other_rig"]
+        return of_tuning(outcome.notes)
 
     def checked(name):
         notes = inspection.check(tmp_path / name).notes
         assert notes is not None
-        return [note for note in notes.remarks if getattr(note, "key", "") == "trial.other_rig"]
+        return of_tuning(notes.remarks)
 
     assert noted(lambda session: workflow.run(tmp_path / "same.toml", session), "same") == []
     assert checked("same.toml") == []
