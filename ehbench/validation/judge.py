@@ -333,7 +333,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
         name=log.name,
         payload=payload_of(record) or "none",
         status="fitted" if judged.fitted else "held_out" if moved else "still",
-        duration=float(np.ptp(counted.t)) if counted.t.size else 0.0,
+        duration=float(np.ptp(counted.t)),
         sample_time=record.sample_time,
         scored=None if judged.scored is None else (float(counted.t[0]), float(counted.t[-1])),
         overlap=judged.overlap,

@@ -329,6 +329,8 @@ def warm_sheet(kelvin, effect: float = 0.0, seed: int = 3) -> str:
     ("kelvin", "key", "fields"),
     [
         (lambda u, d, n, rng: 15.0 * d, "warm_with_drop", {"cold": "44.3 degC"}),
+        # of a curve the straight line of least squares
+        (lambda u, d, n, rng: 15.0 * d**3, "warm_with_drop", {"cold": "38.8 degC"}),
         (lambda u, d, n, rng: -1.2 * u, "warm_with_command", {"cold": "40 degC", "low": "0 V"}),
         (lambda u, d, n, rng: rng.uniform(-6, 6), "warm_flow", {"kelvin": 10.0}),
         (lambda u, d, n, rng: rng.uniform(-0.7, 0.7), None, {}),

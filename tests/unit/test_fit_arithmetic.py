@@ -1287,6 +1287,7 @@ def test_what_was_matched_is_told_with_its_scatter_and_what_is_silent(silent):
     assert (fitted.value, fitted.std, fitted.samples) == (pytest.approx(4.0), pytest.approx(0.4), 5)
     assert fitted.interval == pytest.approx((4.0 * math.exp(-0.2), 4.0 * math.exp(0.2)))
     assert (fitted.status, idle.status) == ("at_bound" if silent else "estimated", "not_excited")
+    assert idle.samples == 0
     keys = [text.key.partition(".")[2] for text in built.warnings]
     assert keys == (["still_moving", "model_is_silent"] if silent else [])
     assert not silent or built.warnings[1].fields["count"] == 1
@@ -1478,6 +1479,9 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
         np.testing.assert_array_equal(~column, void)
     assert note.fields["t"] == pytest.approx((100 - ahead) * tick)
     assert note.fields["share"] == pytest.approx(100.0 * void.mean())
+    empty[0] = 1.1 * limit
+    counts, _ = simulator._counts("log", SLIDE, record, channels)
+    np.testing.assert_array_equal(counts[:, 0], np.arange(600) >= 300 + ahead)
     full = record.channels | {"press.p_head": np.full(600, 0.9 * limit)}
     counts, notes = simulator._counts("log", SLIDE, Record(record.t, full), channels)
     assert counts.all() and not notes

@@ -13,7 +13,7 @@ from ehbench.validation import PreparedValidation, prepare_log, run_validation
 from ehbench.validation.held_out import FittedSamples, _aligned, _sample_means, overlaps
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
-from tests.shared import RIGS, ROOT, shipped
+from tests.shared import RIGS, ROOT, refused, shipped
 from tools.virtual_logs import virtual_log
 
 LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
@@ -143,8 +143,10 @@ def test_only_the_scored_part_is_judged(log, rig):
     error = late.series["simulated.press.p_head"] - late.series["press.p_head"]
     channel = next(c for c in late.channels if c.channel == "press.p_head")
     assert channel.rms_error == pytest.approx(np.sqrt(np.mean(error[log.t >= 2.0] ** 2)))
-    with pytest.raises(InputError, match="no samples from score_start to score_stop"):
+    with refused("validation.nothing_scored", InputError) as told:
         prepare_log("odd", odd, model, scored=(9.0, 10.0))
+    fields = told.value.message.fields
+    assert (fields["log"], fields["start"], fields["stop"]) == ("odd", log.t[0], log.t[-1])
 
 
 def recipe(folder: Path, name: str, *lines: str) -> Path:
