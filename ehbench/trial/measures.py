@@ -24,6 +24,12 @@ class MeasureSettings:
     band: float = setting(0.05, "", "band of a settled speed, of the rise", "usual definition")
     steady: float = setting(1.0 / 3.0, "", "last part of a step that is steady", "swings decay")
     unsettled: float = setting(0.9, "", "time by which a step settles, of it", "chosen")
+    shaped: float = setting(
+        1e-3,
+        "",
+        "share of a step that its shaped speed lacks as the decay begins",
+        "filters near it",
+    )
     lasts: float = setting(0.1, "s", "shortest shortfall of speed", "corrections are shorter")
     less: float = setting(2.0e-3, "", "smallest shortfall, of the desired speed", "noise")
     final: float = setting(0.1, "s", "end over which the final error is averaged", "noise")
@@ -70,7 +76,7 @@ def step_measures(
     before: float = 0.0,
     others: Sequence[np.ndarray] = (),
     share: float | None = None,
-    shaped: int = 0,
+    asked: np.ndarray | None = None,
 ) -> StepMeasures:
     """Measures of one step from ``before`` to ``speed`` [m/s] that begins at ``t[0]``.
 
@@ -79,7 +85,8 @@ def step_measures(
         v: speed [m/s].
         others: more channels that ring with it, such as the chamber pressures.
         share: of the full speed, handed on.
-        shaped: samples until the desired speed has come; a decay begins only then.
+        asked: desired speed [m/s] as the controller shapes it, shape (samples,), None where it
+            jumps; the decay begins once it has come.
     """
     last = v[-max(1, round(MEASURES.steady * v.size)) :]
     # what still rings cancels under a window that fades in and out, and a drift counts as by the
@@ -94,6 +101,10 @@ def step_measures(
         # a speed that was off a tenth before the end has not settled
         inside = int(off[-1]) + 1 if off.size else 0
         settling = float(t[inside] - t[0]) if inside < MEASURES.unsettled * v.size else None
+    shaped = 0
+    if asked is not None:
+        lacks = np.flatnonzero(np.abs(asked - speed) > MEASURES.shaped * abs(speed - before))
+        shaped = int(lacks[-1]) + 1 if lacks.size else 0
     swing = ringing(t[shaped:], np.column_stack([v, *others])[shaped:])
     if swing.ok and swing.damping_ratio < 0.0:  # what grows has no steady speed to overshoot
         overshoot = settling = None

@@ -369,12 +369,9 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
         if stop - level.first >= 3:
             part = slice(level.first, stop)
             before = float(loop.references.table[level.first - 1, 1]) if level.first else 0.0
-            # a controller may shape the desired speed further
             asked = channels.get("v_shaped", channels["v_desired"])[part]
-            off = np.abs(asked - level.speed) > 1e-3 * abs(level.speed - before)
-            shaped = int(np.flatnonzero(off)[-1]) + 1 if off.any() else 0
             others = p_head[part], p_rod[part]
-            step = step_measures(t[part], v[part], level.speed, before, others, level.share, shaped)
+            step = step_measures(t[part], v[part], level.speed, before, others, level.share, asked)
             measures["steps"].append(asdict(step))
     # a sample is compared with what was desired then
     late = float(controller_of(loop.recipe).delay)

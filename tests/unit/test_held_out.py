@@ -143,9 +143,9 @@ def test_only_the_scored_part_is_judged(log, rig):
     error = late.series["simulated.press.p_head"] - late.series["press.p_head"]
     channel = next(c for c in late.channels if c.channel == "press.p_head")
     assert channel.rms_error == pytest.approx(np.sqrt(np.mean(error[log.t >= 2.0] ** 2)))
-    with refused("validation.nothing_scored", InputError) as told:
+    with refused("validation.nothing_scored", InputError) as error:
         prepare_log("odd", odd, model, scored=(9.0, 10.0))
-    fields = told.value.message.fields
+    fields = error.value.message.fields
     assert (fields["log"], fields["start"], fields["stop"]) == ("odd", log.t[0], log.t[-1])
 
 

@@ -103,6 +103,16 @@ def in_band(off):
     return step_measures(t, np.where(t < 0.3, 1.0 + off, 1.0), 1.0).settling_time
 
 
+def decay_begins(lacking):
+    """Whether a ramp that lacks so much of the step up to its end is left out of the decay."""
+    t = np.arange(2000) * 1e-3
+    late = np.maximum(t - 0.3, 0.0)
+    swing = np.exp(-2.5 * late) * np.sin(25.0 * np.sqrt(0.99) * late)
+    asked = np.where(t < 0.2995, 1.0 - lacking, 1.0)
+    result = step_measures(t, np.minimum(t / 0.3, 1.0) + 0.2 * swing, 1.0, asked=asked)
+    return result.damping_ratio is not None and abs(result.damping_ratio - 0.1) < 2e-3
+
+
 def short(lasts, less):
     t = np.arange(1000) * 1e-3
     v = np.where((t >= 0.2) & (t < 0.2 + lasts - 5e-4), 1.0 - less, 1.0)
@@ -637,6 +647,7 @@ ROWS = [
     (MEASURES, "steady", steady, 1.027),
     (MEASURES, "unsettled", unsettled, (0.85, 0.91), [False, True]),
     (MEASURES, "band", in_band, (0.04, 0.06), [0.0, 0.3]),
+    (MEASURES, "shaped", decay_begins, (0.8e-3, 1.2e-3), [False, True]),
     (MEASURES, "lasts", lambda s: short(s, 0.1), (0.08, 0.12), [True, False]),
     (MEASURES, "less", lambda s: short(0.5, s), (1.6e-3, 2.4e-3), [True, False]),
     (MEASURES, "final", final, 0.297),

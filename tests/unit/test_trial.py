@@ -735,7 +735,8 @@ def test_the_decay_of_a_shaped_step_begins_with_its_level():
     t = np.arange(2000) * 1e-3
     late = np.maximum(t - 0.3, 0.0)
     swing = np.exp(-0.1 * 25.0 * late) * np.sin(25.0 * np.sqrt(0.99) * late)
-    result = step_measures(t, 0.1 * np.minimum(t / 0.3, 1.0) + 0.02 * swing, 0.1, shaped=300)
+    asked = 0.1 * np.minimum(t / 0.3, 1.0)
+    result = step_measures(t, asked + 0.02 * swing, 0.1, asked=asked)
     assert result.damping_ratio == pytest.approx(0.1, abs=0.002)
 
 
