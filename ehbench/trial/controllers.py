@@ -349,9 +349,9 @@ def not_as_tuned(
         return ()
     notes = (*other_supply(rig, tuning), *other_rig(rig, tuning))
     if not tuning.get("validated", True):
-        notes += (message("trial.tuned_unvalidated"),)
+        notes += (message("stages.tuned_unvalidated"),)
     for reason in tuning.get("reservations", ())[:1]:
-        notes += (message("trial.tuned_with_reservation", reason=reason),)
+        notes += (message("stages.tuned_with_reservation", reason=reason),)
     tick, chosen = 1.0 / float(recipe.rate), recipe.controller
     if (tuned := tuning.get("tick")) is not None and _differ(tuned, tick):
         notes += (message("trial.other_tick", tuned=1e3 * tuned, tick=1e3 * tick),)

@@ -429,8 +429,8 @@ measures = ["tracking.max_error"]
     def of_tuning(notes):
         """What they say of the rig's numbers; what its validation said is always there."""
         by_key = {getattr(note, "key", ""): note for note in notes}
-        assert is_warning(by_key["trial.tuned_unvalidated"])
-        reserved = by_key["trial.tuned_with_reservation"]
+        assert is_warning(by_key["stages.tuned_unvalidated"])
+        reserved = by_key["stages.tuned_with_reservation"]
         assert is_warning(reserved) and reserved.fields["reason"] == "mass: 3 % more"
         return [note for note in notes if getattr(note, "key", "") == "trial.other_rig"]
 
