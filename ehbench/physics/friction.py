@@ -34,6 +34,15 @@ def stribeck(v, viscous, coulomb, static, stribeck_speed, smoothing):
 
 
 @kernel
+def coulomb_slope(v, viscous, coulomb, smoothing):
+    """Slope [N·s/m] of ``viscous·v + coulomb·tanh(v/v_s)`` over speed: `stribeck` without a dip."""
+    if coulomb == 0.0:
+        return viscous
+    turned = math.tanh(v / smoothing)
+    return viscous + coulomb * (1.0 - turned * turned) / smoothing
+
+
+@kernel
 def stribeck_slope(v, viscous, coulomb, static, stribeck_speed, smoothing):
     """Slope [N·s/m] of `stribeck` over speed; may be negative."""
     ratio, turned = v / stribeck_speed, math.tanh(v / smoothing)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
-from ehbench.physics.friction import stribeck_slope
+from ehbench.physics.friction import coulomb_slope
 from ehbench.runtime.compiled import part_kernel
 
 COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
@@ -31,8 +31,7 @@ def steady(row, v):
 @part_kernel
 def slope(row, v):
     """Slope [N·s/m] of the resistance at speed v [m/s]."""
-    coulomb = row.friction_coulomb
-    return stribeck_slope(v, row.friction_viscous, coulomb, coulomb, 1.0, COULOMB_SPEED)
+    return coulomb_slope(v, row.friction_viscous, row.friction_coulomb, COULOMB_SPEED)
 
 
 @part_kernel

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from ehbench.parts.fault import Fault
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
-from ehbench.physics.friction import stribeck_slope
+from ehbench.physics.friction import coulomb_slope
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
 
@@ -33,7 +33,7 @@ def steady(row, v):
 def slope(row, v):
     """Slope [N·s/m] of the resistance at speed v [m/s]."""
     coulomb = row.friction_coulomb if v >= 0.0 else row.friction_retracting
-    return stribeck_slope(v, row.friction_viscous, coulomb, coulomb, 1.0, COULOMB_SPEED)
+    return coulomb_slope(v, row.friction_viscous, coulomb, COULOMB_SPEED)
 
 
 @part_kernel
