@@ -14,7 +14,8 @@ from ehbench.vocabulary import InputError, message
 
 
 class Frames:
-    """The frames of one direction."""
+    """The frames of one direction: all that have a signal of it, as a vector is whole with all of
+    them also where only some of its numbers are named."""
 
     def __init__(self, way: str, names: Sequence[str], path: Path) -> None:
         import cantools
@@ -25,11 +26,12 @@ class Frames:
             why = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(message("links.dbc", why=why), file=path) from None
         self.signals = {f"{way}_{name.replace('.', '_')}": i for i, name in enumerate(names)}
-        messages = (m for m in known.messages if any(s.name in self.signals for s in m.signals))
+        ours = {s.name for m in known.messages for s in m.signals if s.name.startswith(f"{way}_")}
+        messages = [m for m in known.messages if any(s.name in ours for s in m.signals)]
         self.messages: dict[int, Any] = {
             m.frame_id: m for m in sorted(messages, key=lambda m: m.frame_id)
         }
-        if not self.messages:
+        if ours.isdisjoint(self.signals):
             fields = {"way": way, "such": next(iter(self.signals))}
             raise InputError(message("links.dbc_signals", **fields), file=path)
         self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
@@ -57,6 +59,8 @@ class Frames:
         for name, value in known.decode(frame.data).items():
             if name in self.signals:
                 self._numbers[self.signals[name]] = value
+        if frame.arbitration_id in self._came:  # the last frame of the vector before was lost
+            self._came.clear()
         self._came.add(frame.arbitration_id)
         if frame.arbitration_id != self.last:
             return None

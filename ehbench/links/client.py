@@ -56,7 +56,9 @@ class LinkSettings:
     supply: float = setting(0.01, "", "of the design's supply pressure", "unloaded pumps: 0.03")
     drift: float = setting(2e-4, "", "difference of two clocks' rates", "quartz within 100 ppm")
     rate: float = setting(0.02, "", "difference of the target's rate from the trial's", "jitter")
-    jump: float = setting(0.1, "s", "of a target's clock beyond its count", "five watchdogs")
+    jump: float = setting(
+        0.1, "s", "of a target's clock beyond its count or the host's clock", "five watchdogs"
+    )
 
 
 LINK = LinkSettings()
@@ -169,7 +171,8 @@ class LinkMachine:
             problem = "replayed"
         elif self.row > 0 and (
             abs(numbers[TIME] - newest[TIME] - count / (self.rate * self._every)) > LINK.jump
-        ):
+            or self._offset - (self.now() - numbers[TIME]) > LINK.jump
+        ):  # beyond its count, or with it beyond the host's clock
             problem = "clock"
         else:
             self.newest = numbers

@@ -22,7 +22,7 @@ METHODS: Mapping[str, int] = {
     "validation": 9,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
-    "trial": 1,  # the loop and what is measured of it
+    "trial": 2,  # the loop and what is measured of it
     "ledger": 3,
     "sampling": 1,  # designs of studies and their statistics
 }

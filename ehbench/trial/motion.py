@@ -26,6 +26,7 @@ from ehbench.control.functions import (
 from ehbench.control.measured import Pressures
 from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
+from ehbench.parts.supply import sensed
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
@@ -145,7 +146,8 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
         InputError: the valves have no function for it."""
     circuit, model = design.circuit, design.model
     line, p_tank = model.plant.supply, model.plant.tank_pressure
-    p_supply, limit = float(line.pressure), float(line.flow_limit)
+    # a load-sensing pump rises from its standby as far as the fed chamber asks for
+    p_supply, limit = float(sensed(p_tank, line)), float(line.flow_limit)
     start = model.trim(design.q, p_tank + low_pressure)
     p_head, p_rod = (
         float(start[model.layout.state(name, design.index)]) for name in ("p_head", "p_rod")
@@ -167,7 +169,7 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
     else:
         p = Pressures(p_head, p_rod, p_supply, p_tank)
         if CROSS[function] >= 0:
-            rules = pack_rules(area_rod, p_supply, low_pressure)
+            rules = pack_rules(area_rod, float(line.pressure), low_pressure)
             p = planned(function, force, p, circuit, rules)
         speed = top_speed(function, p, circuit)
     draw = supply_draw(function, circuit)
@@ -189,7 +191,8 @@ def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_ta
 
     # the higher both pressures, the less comes in and the more goes out (extending; retracting the
     # same): bisect the balance
-    low, high = p_tank - abs(force) / area_rod, p_supply + abs(force) / area_rod
+    highest = float(circuit.supply[0].pressure)
+    low, high = p_tank - abs(force) / area_rod, highest + abs(force) / area_rod
     for _ in range(60):
         middle = 0.5 * (low + high)
         entering, leaving = speeds(middle)

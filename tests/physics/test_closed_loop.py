@@ -8,6 +8,7 @@ import pytest
 from closed_loop import LONG
 
 from ehbench.config.recipe import TrialRecipe, TrialSetRecipe
+from ehbench.config.rig import LoadSensing
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.arc_gains import GAIN_NAMES
 from ehbench.control.functions import PATH_FLOWS, RULES
@@ -29,6 +30,7 @@ from ehbench.trial import (
 )
 from ehbench.trial.motion import full_speed
 from ehbench.vocabulary.codes import ESTIMATES, FROZEN, FUNCTIONS, SATURATED
+from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.quantities import quantity
 from tests.shared import RECIPES, refused, shipped
 
@@ -426,6 +428,26 @@ def test_full_speed_is_what_pump_and_valves_give():
     record, _ = run_trial(rig, TrialRecipe(stage="trial", rig="x", **given))
     # friction and damping, which are no load at rest, take a few per cent
     assert 0.9 * speed < record["press.v"][-1] < speed
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_full_speed_on_a_load_sensing_pump_is_what_its_margin_passes(way):
+    """A spool wide open, against the speed that a simulation comes to: the margin sets it."""
+    sensing = LoadSensing(load_margin=Value(1.5e6), load_lag=Value(0.005))
+    rig = RIGS["slide_servo"].with_supply(load_sensing=sensing)
+    posture = {"press": "80 mm" if way > 0 else "280 mm"}
+    motion = {"kind": "velocity_steps", "levels": ["100 %"], "duration": "0.3 s"}
+    spool = controllers.design(recipe(FEEDBACK, motion, posture=posture), rig, None)
+    speed = full_speed(spool, way, 1e5)
+    assert speed < 0.8 * full_speed(
+        controllers.design(recipe(FEEDBACK, motion, posture=posture), RIGS["slide_servo"], None),
+        way,
+        1e5,
+    )
+    command = {"valve": "press.servo", "kind": "constant", "offset": f"{10 * way} V"}
+    given = {"duration": "0.3 s", "command": [command], "posture": posture}
+    record, _ = run_trial(rig, TrialRecipe(stage="trial", rig="x", **given))
+    assert way * record["press.v"][-1] == pytest.approx(speed, rel=0.03)
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])

@@ -266,12 +266,43 @@ def test_a_vector_of_which_a_frame_was_lost_does_not_count(tmp_path):
         Frames("up", names, dbc).send(bus := Bus(), np.arange(len(names)) + offset)
         return bus
 
-    taking = Frames("up", names, dbc)
-    taken = [taking.take(frame) for frame in (*frames(0), *frames(100)[1:], *frames(200))]
-    whole = [item for item in taken if item is not None]
-    assert [item.tolist() for item in whole] == [
-        [at + offset for at in range(len(names))] for offset in (0, 200)
-    ]
+    def taken(lost, first=names):
+        """The first number of each vector that counts, of five whose frames ``lost`` are lost."""
+        taking = Frames("up", first, dbc)
+        came = [f for n in range(5) for k, f in enumerate(frames(100 * n)) if (n, k) not in lost]
+        whole = [item for frame in came if (item := taking.take(frame)) is not None]
+        for item in whole:
+            assert item.tolist() == [names.index(n) + item[0] for n in first]
+        return [item[0] for item in whole]
+
+    last = len(frames(0)) - 1
+    assert taken({(1, 0)}) == [0, 200, 300, 400]
+    assert taken({(1, last)}) == [0, 200, 300, 400]
+    assert taken({(1, last), (2, 0)}) == [0, 300, 400], "the first frame of 1 is none of 2"
+    assert taken({(1, last), (2, 1), (3, 0)}) == [0, 400]
+
+
+def test_a_link_of_headers_alone_sends_and_counts_all_frames(tmp_path):
+    """It stands for a trial's link: a target with two valves takes its vectors, and a frame of
+    nothing but samples that is lost is a lost sample."""
+    pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    layout = Layout.of(shipped("thesis_arm"))
+    (dbc,) = write_files(layout, 100.0, "dbc", tmp_path)
+    up, down = layout.names("stream")
+
+    class Bus(list):
+        send = list.append
+
+    Frames("down", HEADER, dbc).send(bus := Bus(), np.arange(len(HEADER)) + 1.0)
+    target = Frames("down", down, dbc)
+    (taken,) = [item for frame in bus if (item := target.take(frame)) is not None]
+    assert taken[: len(HEADER)].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+
+    Frames("up", up, dbc).send(bus := Bus(), np.arange(len(up)) + 1.0)
+    for lost in range(len(bus)):
+        link = Frames("up", HEADER, dbc)
+        assert all(link.take(f) is None for k, f in enumerate(bus) if k != lost), lost
 
 
 def test_a_map_of_registers_scales_numbers(tmp_path):

@@ -39,7 +39,7 @@ from ehbench.links.responder import (
     Target,
 )
 from ehbench.links.serve import ServedTarget
-from ehbench.links.transport import STATE, TIME
+from ehbench.links.transport import SEQUENCE, STATE, TIME
 from ehbench.trial import prepare, run, running
 from ehbench.validation import validate_rig
 from ehbench.vocabulary.errors import InputError
@@ -288,14 +288,19 @@ def test_a_host_stops_when_samples_or_states_are_wrong(wrong, limit):
         assert result.facts.stop.limit == limit and 0.4 <= result.facts.stop.t <= 0.45
 
 
-def test_a_jump_of_the_targets_clock_is_no_reason_of_the_target():
+@pytest.mark.parametrize("samples", [0.0, 5.0])
+def test_a_jump_of_the_targets_clock_is_no_reason_of_the_target(samples):
+    """Alone, and with its count: rows between them would be the host's invention."""
+
     def jump(numbers, machine):
         numbers[TIME] += 5.0 * (machine.row > 100)
+        numbers[SEQUENCE] += machine.rate * samples * (machine.row > 100)
         return numbers
 
     result, machine, item = over_link(trial(), on_sample=jump)
     assert machine.reasons[int(result.facts.stop.value)] == "clock"
     assert "clock" in result.facts.stopped and REASONS[item.reason] != "clock"
+    assert 0.4 <= result.facts.stop.t <= 0.45
 
 
 @pytest.mark.parametrize(

@@ -240,7 +240,7 @@ def without_supply(share):
 def clock_jumps(seconds):
     """Whether a sample counts whose clock is so far beyond its count."""
     link = link_of()
-    link.row, numbers = 1, link.newest.copy()
+    link.row, link._offset, numbers = 1, link.now(), link.newest.copy()
     numbers[[TOKEN, SEQUENCE, TIME]] = link.token, 1.0, 1e-3 + seconds
     return link._take(numbers)
 
