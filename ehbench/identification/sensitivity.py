@@ -493,12 +493,15 @@ def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:
         "share": item.explains,
         "known": row.certainty > 0,
     }
-    if item.name in row.parameters:
-        fields["value"] = rig.shown(item.name, item.there, 4)
-        fields["half"] = rig.shown(item.name, Z95 * item.std, 2)
-        if item.name not in rig.parameters():
+    offset = word == "offset" and item.name not in row.parameters
+    if offset or item.name in row.parameters:
+        shown = channel if offset else item.name
+        fields["value"] = rig.shown(shown, item.there, 4)
+        fields["half"] = rig.shown(shown, Z95 * item.std, 2)
+        if not offset and item.name not in rig.parameters():
             return message("identification.absent_fixed", name=row.name, **fields)
-        name, fixed = ", ".join(row.parameters), rig.shown(item.name, item.here, 4)
+        alike = [n.name for n in row.numbers if n.here == item.here]
+        name, fixed = ", ".join(alike) or item.name, rig.shown(shown, item.here, 4)
         return message("identification.number_fixed", name=name, fixed=fixed, **fields)
     timed = word in ("lag", "delay")
     fields |= {"channel": channel, "word": word, "value": item.there * (1e3 if timed else 1.0)}
