@@ -175,7 +175,7 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
     tied = [name for name in tied if name and all(tied_words(log.record) for log in logs)]
     channels = list(dict.fromkeys([*(name for log in logs for name in log.channels), *tied]))
     records, rig = [log.record for log in logs], simulator.rig.with_values(values)
-    terms = {(term.channel, term.word) for log in logs for term in log.start.terms}
+    terms = {(t.channel, t.word) for log in logs for t in log.start.terms if t.std > 0.0}
     spectra = any(log.band is not None for log in logs)
     rows = hypotheses(rig, cylinders, channels, records, simulator.maps)
     return [
@@ -191,19 +191,22 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
     ]
 
 
-def _terms(rows: Sequence[Hypothesis], std: bool = False) -> tuple[Term, ...]:
-    """What is asked of sensors, with a wide prior where it is to be fitted."""
+def _with_terms(
+    logs: Sequence[Log], rows: Sequence[Hypothesis], std: bool = False
+) -> tuple[list[Log], list[str]]:
+    """Logs with what rows ask of sensors, from what is known of it, and its names; with a wide
+    prior where it is to be fitted."""
     every = {(c, w): unit for row in rows for c, w, unit in row.readings}
-    return tuple(
-        Term(c, w, 0.0, 1.0, (VAGUE[w] * (4.0 * unit if w == "offset" else 1.0)) * std, False)
-        for (c, w), unit in every.items()
-    )
-
-
-def _with_terms(logs: Sequence[Log], terms: Sequence[Term]) -> list[Log]:
-    return [
-        replace(log, start=replace(log.start, terms=(*log.start.terms, *terms))) for log in logs
-    ]
+    known = {(t.channel, t.word): t.known for log in logs for t in log.start.terms}
+    terms = []
+    for (c, w), unit in every.items():
+        wide = VAGUE[w] * (4.0 * unit if w == "offset" else 1.0)
+        terms.append(Term(c, w, known.get((c, w), 0.0), 1.0, wide * std, False))
+    results = []
+    for log in logs:
+        others = (t for t in log.start.terms if (t.channel, t.word) not in every)
+        results.append(replace(log, start=replace(log.start, terms=(*others, *terms))))
+    return results, [term.name for term in terms]
 
 
 def _screened(
@@ -280,9 +283,8 @@ def _columns(
             continue
         simulator, here, alters = fit.simulator, state.here, group not in (numbers, sensors)
         each = {n.name: n for row in group for n in row.numbers if group is not sensors}
-        terms = _terms(group) if group is sensors else ()
-        names = [*simulator.names, *each, *(term.name for term in terms)]
-        logs = _with_terms(fit.logs, terms)
+        logs, terms = _with_terms(fit.logs, group if group is sensors else ())
+        names = [*simulator.names, *each, *terms]
         try:
             rig = group[0].altered(simulator.rig) if alters else simulator.rig
         except IMPOSSIBLE:
@@ -296,7 +298,7 @@ def _columns(
             vector = [
                 *fit.values(here.theta),
                 *(changed.get(name, number.here) for name, number in each.items()),
-                *(changed.get(term.name, 0.0) for term in terms),
+                *(changed.get(term, 0.0) for term in terms),
             ]
             points += [(vector, k, here.shifts[k]) for k in rows[row]]
             keys += [(row, k) for k in rows[row]]
@@ -413,14 +415,16 @@ def _confirmed(
     after, before = cost(freed, there.state), cost(fit, state)
     number = next((n for n in row.numbers if n.unit != 0.0 and n.name in index), None)
     at = new[0] if number is None else index[number.name]
-    c, here = freed.search[at], 0.0 if number is None else number.here
-    value = c.at(there.state.theta[at])
+    c, terms = freed.search[at], freed.logs[0].start.terms
+    known = next((term.known for term in terms if term.name == c.name), 0.0)
+    here, unit = (number.here, number.unit) if number is not None else (known, row.readings[0][2])
+    value = known + c.at(there.state.theta[at])
     std = (value if c.log else c.unit) * there.by_index[at].std
     if abs(value - here) <= SETTINGS.surely * std or before - after < SETTINGS.worth * before:
         return None
     live = [index[fit.search[i].name] for i in state.live]
     moved = _moved(fit, result, there.state.theta[live])
-    remedy = row.remedy(fit.simulator.rig, item.delta)
+    remedy = row.remedy(fit.simulator.rig, (value - here) / unit)
     return row, Lean(c.name, here, value, std, 1.0 - after / before, moved, remedy)
 
 
@@ -435,13 +439,12 @@ def _freed(
     """
     row, old = item.row, fit.simulator
     sensor = bool(row.readings) and (bool(row.edits) or not row.numbers)
-    terms = _terms([row], True) if sensor else ()
+    logs, terms = _with_terms(fit.logs, [row] if sensor else (), True)
     starts = {} if sensor else {n.name: n.begin(item.delta) for n in row.numbers}
     rig = old.rig if sensor else row.altered(old.rig)
     more = coordinates(rig, [*starts], starts, upper=row.upper) if starts else []
     names = [*old.names[: fit.requested], *starts, *old.names[fit.requested :]]
-    names += [term.name for term in terms]
-    simulator = Simulator(rig, _with_terms(fit.logs, terms), names, old.maps, old.workers, old.step)
+    simulator = Simulator(rig, logs, [*names, *terms], old.maps, old.workers, old.step)
     simulator.effort = effort
     search = [*fit.search[: fit.requested], *more]
     freed = problem_of(simulator, search, None, fit.max_iterations, fit.cutoff)
@@ -454,10 +457,8 @@ def _freed(
     for i, by in zip(state.live, item.follow, strict=True):
         c = fit.search[i]
         begin.theta[index[c.name]] = min(max(state.theta[i] + by, c.bounds[0]), c.bounds[1])
-    for term in terms:
-        begin.theta[index[term.name]] = (
-            item.delta * units[term.name] / freed.search[index[term.name]].unit
-        )
+    for name in terms:
+        begin.theta[index[name]] = item.delta * units[name] / freed.search[index[name]].unit
     new = [index[name] for name in units]
     begin = replace(
         begin,
@@ -492,16 +493,19 @@ def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:
         "share": item.explains,
         "known": row.certainty > 0,
     }
-    if item.name in row.parameters:
-        fields["value"] = rig.shown(item.name, item.there, 4)
-        fields["half"] = rig.shown(item.name, Z95 * item.std, 2)
-        if item.name not in rig.parameters():
+    offset = word == "offset" and item.name not in row.parameters
+    if offset or item.name in row.parameters:
+        shown = channel if offset else item.name
+        fields["value"] = rig.shown(shown, item.there, 4)
+        fields["half"] = rig.shown(shown, Z95 * item.std, 2)
+        if not offset and item.name not in rig.parameters():
             return message("identification.absent_fixed", name=row.name, **fields)
-        name, fixed = ", ".join(row.parameters), rig.shown(item.name, item.here, 4)
+        alike = [n.name for n in row.numbers if n.here == item.here]
+        name, fixed = ", ".join(alike) or item.name, rig.shown(shown, item.here, 4)
         return message("identification.number_fixed", name=name, fixed=fixed, **fields)
     timed = word in ("lag", "delay")
     fields |= {"channel": channel, "word": word, "value": item.there * (1e3 if timed else 1.0)}
     fields["half"] = Z95 * item.std * (1e3 if timed else 1.0)
     if timed:
-        return message("identification.time_fixed", **fields)
+        return message("identification.time_fixed", fixed=1e3 * item.here, **fields)
     return message("identification.sensor_fixed", **fields)

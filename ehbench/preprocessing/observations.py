@@ -9,7 +9,7 @@ import numpy as np
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.record import Record, payloads_of
 from ehbench.plant.model import MOVED, Model
-from ehbench.plant.ties import RECORDED, SUPPLY, supplied
+from ehbench.plant.ties import RECORDED, SUPPLY, supplied, tied_words
 from ehbench.signals.series import lowpass, rms, white_noise
 from ehbench.vocabulary import InputError, Message, message, setting
 from ehbench.vocabulary.quantities import GAUGES
@@ -46,13 +46,18 @@ SETTINGS = ObservationSettings()
 
 def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
     """A channel [SI]; where ``like`` lacks it, the rate of its position behind a low-pass, or
-    None."""
+    None. A simulation tied to that position has integrated another rate, which counts."""
     if channel in like:
         return record[channel]
     position = position_of(channel)
     if position == channel or position not in like:
         return None
-    smooth = lowpass(record[position], record.sample_time, SETTINGS.rate_cutoff)
+    path = record[position]
+    if channel in record and position.rpartition(".")[2] in tied_words(like):
+        from scipy.interpolate import CubicSpline
+
+        path = CubicSpline(record.t, record[channel]).antiderivative()(record.t)
+    smooth = lowpass(path, record.sample_time, SETTINGS.rate_cutoff)
     return np.gradient(smooth, record.sample_time)
 
 

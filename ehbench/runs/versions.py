@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 METHODS: Mapping[str, int] = {
-    "logs": 3,  # reading of logs and files, gaps, sensor terms, initial states
+    "logs": 4,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 2,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 10,
-    "output_error": 10,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 11,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 2,
-    "diagnosis": 11,
-    "validation": 9,
+    "diagnosis": 12,
+    "validation": 10,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 2,  # the loop and what is measured of it

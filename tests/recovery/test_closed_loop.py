@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import tomli_w
+from scipy.signal import butter, sosfiltfilt
 
 from ehbench import workflow
 from ehbench.config.recipe import Sensor
@@ -15,6 +16,7 @@ from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, without_noise
+from ehbench.preprocessing.observations import column
 from ehbench.preprocessing.sensors import lagged
 from ehbench.runs.rundir import read_json
 from ehbench.validation import prepare_validation
@@ -71,6 +73,25 @@ def test_what_is_tied_is_as_recorded(how, same):
         size = {"position": {"x": 1e-12}, "motion": {"x": 2e-5, "v": 8e-3}}[how][word]
         assert np.sqrt(np.mean(off**2)) < size
     assert made["press.p_head"] == pytest.approx(record["press.p_head"], abs=8e5)
+
+
+def test_a_rate_from_a_tied_position_is_that_of_the_simulation():
+    """Wrong gains show in it, as they cannot in the position. Oracle: SciPy's filter of the rate,
+    which central differences 1 ms apart follow to (2π·20·1e-3)²/6 = 3e-3."""
+    recorded = loaded()
+    kept = {name: y for name, y in recorded.channels.items() if name != "press.v"}
+    record = tied(replace(recorded, channels=kept), "position")
+    known = rigs("load")[1]
+    gains = {name: 0.9 * float(y) for name, y in known.parameters().items() if "gain" in name}
+    for rig, most, least in ((known, 0.02, 0.0), (known.with_values(gains), 0.2, 0.05)):
+        made = Model.of(rig).replay(record)
+        shown, seen = (column(item, "press.v", record) for item in (made, record))
+        assert shown is not None and seen is not None
+        sections = butter(2, 20.0, fs=1.0 / record.sample_time, output="sos")
+        expected = sosfiltfilt(sections, made["press.v"])
+        size = float(np.std(expected))
+        assert shown[100:-100] == pytest.approx(expected[100:-100], abs=5e-3 * size)
+        assert least < np.std(shown - seen) / size < most
 
 
 def test_the_angle_of_a_boom_is_tied_through_its_pins():

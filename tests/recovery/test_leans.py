@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
+from ehbench.config.recipe import Sensor, load_rig
 from ehbench.data import read
 from ehbench.diagnosis import DOMINANT
 from ehbench.diagnosis.faults import hypotheses
@@ -19,6 +19,8 @@ from ehbench.validation.results import speaking_against
 from tools.power import machine as power
 from tools.studies.held_study import FATIGUE, fitted, held_wrong, log_of, off_by, rig_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
+
+SLIDE = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
 
 
 def machine_of(name, words):
@@ -55,12 +57,23 @@ def test_a_delay_that_the_rig_file_does_not_have_is_named():
     assert lean.sentence.key == "identification.time_fixed"
 
 
+def test_a_delay_that_the_recipe_states_wrongly_is_named():
+    """3 ms are stated of a driver that gives commands on 1 ms late: its remedy has what is too
+    much, to 0.1 ms."""
+    rig = rig_of("slide_servo")
+    known = (Sensor(channel="press.servo.command", delay="3 ms"),)
+    log = log_of("slide_servo", rig, "chirp", 7, ("command", 0.001))
+    options = FitOptions(sensors=known, start={"bulk_modulus": 7e8}, workers=1)
+    lean = identify_hydraulics(rig, [("chirp", log)], SLIDE, options).leans[0]
+    assert lean.name == "press.servo.command.delay" and lean.here == pytest.approx(3e-3)
+    assert lean.there == pytest.approx(1e-3, rel=0.1)
+    assert lean.sentence.fields["fixed"] == pytest.approx(3.0)
+    assert lean.remedy.fields["ms"] == pytest.approx(2.0, abs=0.1)
+
+
 def test_a_sound_fit_leans_on_nothing():
     rig = rig_of(FATIGUE)
     assert fitted(FATIGUE, rig, rig, kinds=("chirp",)).leans == ()
-
-
-SLIDE = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
 
 
 def without_law(kind):

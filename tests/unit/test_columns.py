@@ -555,6 +555,7 @@ def test_what_a_name_says_is_guessed(tmp_path):
         "Systemdruck [MPa]": "p_supply",
         "Tankdruck [kPa]": "p_tank",
         "return line (bar)": "p_tank",
+        "P_S [bar]": "p_supply",
         "Druck P [bar]": "p_supply",
         "p_P [bar]": "p_supply",
         "pressure T [bar]": "p_tank",

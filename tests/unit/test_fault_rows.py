@@ -74,6 +74,12 @@ def test_a_spool_has_a_neutral_and_parts_that_count_together():
     scale = rows["sensor scale", "press.x"]
     assert (scale.readings, scale.cylinder) == ((("press.x", "scale", 1.0),), "press")
     assert rows["command sign", "press.servo"].cylinder == "press"
+    # an angle's is in weight and levers
+    boom = rows_of("crane_proportional", ("q",), ("lift.spool",))
+    spread = float(np.std(np.sin(9.0 * T)))
+    assert boom["sensor offset", "lift.q"].readings == (
+        ("lift.q", "offset", pytest.approx(spread)),
+    )
     plain = rows_of("slide_servo", ("p_head",), ("press.servo",))
     assert not any(about in ("press.x", "press.v") for _, about in plain)
 

@@ -286,7 +286,7 @@ def test_a_number_at_its_bound_but_for_rounding_stands_there(off, stands):
 def test_a_denied_number_is_told_with_its_interval():
     moved = tuple(Stub(name="bulk_modulus", there=9e8, here=8e8, halves=n) for n in (2.5, 0.5))
     fit: Any = Stub(simulator=Stub(rig=shipped("slide_servo")))
-    row: Any = Stub(parameters=("carriage.mass",), name="load of press", certainty=3)
+    row: Any = Stub(parameters=("carriage.mass",), name="load of press", certainty=3, numbers=())
     for name, key, value, half in (
         ("carriage.mass", "number_fixed", "27", 1.96 * 20.0),
         ("press.v.lag", "time_fixed", 270.0, 1.96e3 * 0.02),
@@ -301,6 +301,13 @@ def test_a_denied_number_is_told_with_its_interval():
         assert float(width) == pytest.approx(half, rel=0.02 if key == "number_fixed" else 1e-4)
         shown = text.fields["value"]
         assert shown.startswith(value) if isinstance(value, str) else shown == pytest.approx(value)
+    zero: Any = Lean("press.x.offset", 0.0, 0.01, 1e-4, 0.3, moved, "free it")  # pyright: ignore[reportArgumentType]
+    fields = _sentence(fit, row, zero).fields
+    assert (fields["name"], fields["fixed"], fields["value"]) == ("press.x.offset", "0 mm", "10 mm")
+    pair: Any = Stub(**vars(row) | {"parameters": ("a.mass", "carriage.mass", "b.mass")})
+    pair.numbers = [Stub(name="a", here=0.25), Stub(name="b", here=1.0), Stub(name="c", here=0.25)]
+    heavy: Any = Lean("carriage.mass", 0.25, 270.0, 20.0, 0.3, moved, "free it")  # pyright: ignore[reportArgumentType]
+    assert _sentence(fit, pair, heavy).fields["name"] == "a, c"  # what is fixed at the same value
 
 
 @pytest.mark.parametrize(

@@ -282,8 +282,8 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
         ports = {end: named & WORDS[f"{end}_port"] for end in _ENDS}
         if unit == "Pa":
             ports["p_head"] = ports["p_head"] - {"pa"}
-        for end, letter in (("p_supply", "p"), ("p_tank", "t")):  # beside a word: Druck P
-            ports[end] = {letter} & words if pressure - {letter} else set()
+        for end in ("p_supply", "p_tank"):  # beside a word: Druck P
+            ports[end] = {port for port in words & WORDS[f"{end}_port"] if pressure - {port}}
         weights = {end: (bool(named & WORDS[end]), bool(ports[end])) for end in _ENDS}
         first, second = sorted(weights, key=weights.__getitem__, reverse=True)[:2]
         if weights[first] == weights[second]:

@@ -169,14 +169,16 @@ class _Rows:
 
     def of_sensors(self, channels: Sequence[str]) -> Iterator[Hypothesis]:
         """Of the sensors of what is compared; a rate that is derived from a position is read by the
-        sensor of that, whose offset it does not show.
+        sensor of that, whose offset shows where a posture has weight and levers of its own.
         """
+        linked = [owner.name for owner in self.cylinders if owner.linkage]
         for channel in channels:
             direct = all(channel in log for log in self.records)
             seen = channel if direct else position_of(channel)
             if all(seen in log for log in self.records):
                 scales = Scales(self.rig, None, None, self.records, seen)
-                for fault in SENSORS[0 if direct else 1 :]:
+                shown = direct or seen.partition(".")[0] in linked
+                for fault in SENSORS[0 if shown else 1 :]:
                     yield self._reading(fault, seen, scales, seen)
 
     def _reading(self, fault: Fault, channel: str, scales: Scales, about: str) -> Hypothesis:
