@@ -117,7 +117,7 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
         bool, False, "--insecure-workers", "Let --workers be tcp://… elsewhere"
     ),
     "resume": _row(bool, False, "--resume", "Go on where a run of this recipe was stopped."),
-    "on": _row(str | None, None, "--on", "The machine, udp://host:port.", metavar="URL"),
+    "on": _row(str | None, None, "--on", "The machine: udp://, modbus://, can://", metavar="URL"),
     "arm": _row(bool, False, "--arm", "Let the machine move: a token is asked for."),
     "token": _row(str | None, None, "--token", "The token, in a script that lets it move."),
     "live": _row(bool, False, "--live", "Watch it here and on a page, in real time."),
@@ -526,7 +526,7 @@ def wire(
 
 @app.command(epilog="Example:  ehbench link udp://192.168.0.5:47000 --seconds 60")
 def link(
-    url: Annotated[str, typer.Argument(help="Of the machine, udp://host:port.")],
+    url: Annotated[str, typer.Argument(help="Of the machine: udp://, modbus://, can://")],
     seconds: Annotated[float, typer.Option("--seconds", help="How long.", min=0.1)] = 60.0,
     as_json: AsJson = False,
 ) -> None:

@@ -268,7 +268,7 @@ def _value_text(run: Saved, result: NamedResult) -> str:
 def _method(run: Saved, result: NamedResult) -> tuple[str, ...]:
     """How a number was found, as far as the catalogue describes it."""
     names = [run.stage, words(str(run.what)), words(run.facts.get("method") or "")]
-    texts: list[str] = [", ".join(filter(None, names))]
+    texts: list[str] = [", ".join(filter(None, dict.fromkeys(names)))]
     about, known = result.about, templates("report")
     if f"method_{run.what}" in known:
         texts.append(message(f"report.method_{run.what}"))

@@ -25,7 +25,7 @@ from ehbench.config.recipe import (
 )
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.runs import rundir
-from ehbench.stages.notes import Notes
+from ehbench.stages.notes import Notes, line_naming
 from ehbench.vocabulary import EhbenchError, InputError, message
 from ehbench.vocabulary.errors import gathered, nearest, raise_all
 from ehbench.vocabulary.fields import Value
@@ -121,7 +121,8 @@ class Inputs:
         known = [item.name for item in folder.iterdir()] if folder.is_dir() else []
         hint = nearest(path.name, known) or f"looked for {path}"
         text = message("stages.no_file", name=name)
-        raise InputError(text, file=self.recipe.path, hint=hint)
+        line = line_naming(self.recipe.path, text)
+        raise InputError(text, file=self.recipe.path, line=line, hint=hint)
 
     def run_folder(self, path: Path) -> Path | None:
         """A run folder, or that of a recipe (None in a dry run without); other files as is."""

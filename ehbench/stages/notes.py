@@ -87,7 +87,10 @@ class Notes:
 
 
 def line_naming(path: Path, message: str) -> int | None:
-    """The first line of a recipe that has a quoted word of a message, the last word first."""
+    """The first line of a recipe that has a quoted word of a message, the last word first; None
+    where none has, or the recipe is no file."""
+    if not path.is_file():
+        return None
     lines = path.read_text(encoding="utf-8-sig", errors="surrogateescape").splitlines()
     for word in reversed(re.findall(r"'([^']+)'", message)):
         known = re.compile(rf"""["']{re.escape(word)}["']|(?<![\w.-]){re.escape(word)}\s*=""")

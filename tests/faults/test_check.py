@@ -288,15 +288,16 @@ def test_edges_without_their_maps_leave_the_rest_to_be_checked(recipes, level, i
     assert "leaves the stroke" in str(inspection.check(path).errors[0])
 
 
+DATA = 'data = ["nothing.mcap", "empty.csv",'
+
+
 def test_all_mistakes_of_a_rig_file_and_of_logs_are_shown_at_once(recipes):
     """A list whose entries are wrong, and a key that is misspelt, are no second mistake."""
     rig = changed(
         recipes, "rigs/slide_servo.toml", 'bore = { value = "50 mm"', 'bore = { value = "50 kg"'
     )
     changed(recipes, "rigs/slide_servo.toml", "stroke =", "strokes =")
-    fit = changed(
-        recipes, "slide_servo/hydraulics.toml", "data = [", 'data = ["nothing.mcap", "empty.csv",'
-    )
+    fit = changed(recipes, "slide_servo/hydraulics.toml", "data = [", DATA)
     (fit.parent / "empty.csv").write_text("a,b\n")
     errors = inspection.check(fit).errors
     assert [Path(str(error.file)).name for error in errors] == [rig.name] * 2 + [
@@ -313,3 +314,4 @@ def test_all_mistakes_of_a_rig_file_and_of_logs_are_shown_at_once(recipes):
     with pytest.raises(InputError) as refusal:
         workflow.run(fit)
     assert not refusal.value.others and "nothing.mcap" in str(refusal.value)
+    assert refusal.value.line == fit.read_text().splitlines().index(DATA) + 1

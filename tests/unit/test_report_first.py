@@ -62,6 +62,7 @@ def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(folders):
     text = build(folders[:1])
     told = words_of(section(text, "glance"))
     assert "Effective bulk modulus 271.3 ± 4.8 MPa 95 % interval 266.5 … 276.1 MPa" in told
+    assert "Viscous damping at the joint, boom" in told
     assert "No verdict" in told and "in a validate recipe" in told
     assert "boom.joint_damping is at bound" in told and "--profile boom.joint_damping" in told
     assert section(text, "glance").count("<svg") == 1

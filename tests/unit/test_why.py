@@ -140,6 +140,12 @@ def test_what_is_fitted_anew_on_the_rig_of_a_fit_is_from_the_new_fit(shop):
     assert found.run == str(again) and found.result.value == 7.05e8
 
 
+def test_a_stage_of_one_kind_is_named_once(shop):
+    files, final = {"trial.json": {"tracking": {"rms": 0.002}}}, shop / "reports" / "trial_1"
+    write_run(final, "trial", shop / "fit.toml", [("rig", shop / "rig.toml")], files, what="trial")
+    assert origin("tracking.rms", final).method[0] == "trial"
+
+
 @pytest.mark.parametrize("edited", [False, True])
 @pytest.mark.parametrize("stage", ["validate", "trial"])
 def test_a_rig_file_copied_by_hand_leads_to_its_fit(shop, stage, edited):

@@ -32,12 +32,12 @@ from ehbench.report.words import (
     DASH,
     as_fitted,
     axis,
-    capital,
     interval,
     number,
     pretty,
     row_of,
     shown,
+    title_of,
     unit_of,
     words,
 )
@@ -240,10 +240,11 @@ def findings(run: Saved) -> Findings:
     numbers = []
     for place, item in enumerate(known):
         name = item["name"]
-        label = "effective bulk modulus" if name == "bulk_modulus" else words(name)
+        owner = name.rpartition(".")[0]
+        label = title_of(name) + (f", {owner}" if owner else "")
         value, about = page.text("parameter_value", item=item), page.text("parameter", item=item)
         rank = OFTEN if place else PARAMETER
-        numbers.append(Headline(rank, capital(label.replace(".", " ")), value, about))
+        numbers.append(Headline(rank, label, value, about))
     residual = str(fit.get("left_over") or "").partition(":")[0]  # its meaning is in the chapter
     # a doubtful one is explained by the number that it is sensitive to
     weak = [item for item in parameters if item["status"] not in ("estimated", DOUBTFUL)]
