@@ -216,7 +216,7 @@ def cylinders(y, command, plant, dy, work):
             rate += min(row.mobility * steep, 1.0 / SETTLING)
         added = max(0.0, grip * SETTLING - 1.0 / row.mobility)
         work[at.inertia + row.joint] += lever * lever * added
-        fastest = max(fastest, rate, row.decay)
+        fastest = max(fastest, rate)
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
             fastest = max(fastest, stop_rate(row, x))
