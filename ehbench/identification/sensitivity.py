@@ -191,22 +191,27 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
     ]
 
 
-def _with_terms(
-    logs: Sequence[Log], rows: Sequence[Hypothesis], std: bool = False
-) -> tuple[list[Log], list[str]]:
-    """Logs with what rows ask of sensors, from what is known of it, and its names; with a wide
-    prior where it is to be fitted."""
+def _terms(
+    rows: Sequence[Hypothesis], std: bool = False, logs: Sequence[Log] = ()
+) -> tuple[Term, ...]:
+    """What is asked of sensors, from what ``logs`` know of it, with a wide prior where it is to be
+    fitted."""
     every = {(c, w): unit for row in rows for c, w, unit in row.readings}
     known = {(t.channel, t.word): t.known for log in logs for t in log.start.terms}
     terms = []
     for (c, w), unit in every.items():
         wide = VAGUE[w] * (4.0 * unit if w == "offset" else 1.0)
         terms.append(Term(c, w, known.get((c, w), 0.0), 1.0, wide * std, False))
-    results = []
+    return tuple(terms)
+
+
+def _with_terms(logs: Sequence[Log], terms: Sequence[Term]) -> list[Log]:
+    """Logs with these terms, in place of what they have of the same names."""
+    names, results = {term.name for term in terms}, []
     for log in logs:
-        others = (t for t in log.start.terms if (t.channel, t.word) not in every)
+        others = (term for term in log.start.terms if term.name not in names)
         results.append(replace(log, start=replace(log.start, terms=(*others, *terms))))
-    return results, [term.name for term in terms]
+    return results
 
 
 def _screened(
@@ -283,8 +288,9 @@ def _columns(
             continue
         simulator, here, alters = fit.simulator, state.here, group not in (numbers, sensors)
         each = {n.name: n for row in group for n in row.numbers if group is not sensors}
-        logs, terms = _with_terms(fit.logs, group if group is sensors else ())
-        names = [*simulator.names, *each, *terms]
+        terms = _terms(group, logs=fit.logs) if group is sensors else ()
+        logs = _with_terms(fit.logs, terms)
+        names = [*simulator.names, *each, *(term.name for term in terms)]
         try:
             rig = group[0].altered(simulator.rig) if alters else simulator.rig
         except IMPOSSIBLE:
@@ -298,7 +304,7 @@ def _columns(
             vector = [
                 *fit.values(here.theta),
                 *(changed.get(name, number.here) for name, number in each.items()),
-                *(changed.get(term, 0.0) for term in terms),
+                *(changed.get(term.name, 0.0) for term in terms),
             ]
             points += [(vector, k, here.shifts[k]) for k in rows[row]]
             keys += [(row, k) for k in rows[row]]
@@ -439,12 +445,13 @@ def _freed(
     """
     row, old = item.row, fit.simulator
     sensor = bool(row.readings) and (bool(row.edits) or not row.numbers)
-    logs, terms = _with_terms(fit.logs, [row] if sensor else (), True)
+    terms = _terms([row], True, fit.logs) if sensor else ()
     starts = {} if sensor else {n.name: n.begin(item.delta) for n in row.numbers}
     rig = old.rig if sensor else row.altered(old.rig)
     more = coordinates(rig, [*starts], starts, upper=row.upper) if starts else []
     names = [*old.names[: fit.requested], *starts, *old.names[fit.requested :]]
-    simulator = Simulator(rig, logs, [*names, *terms], old.maps, old.workers, old.step)
+    names += [term.name for term in terms]
+    simulator = Simulator(rig, _with_terms(fit.logs, terms), names, old.maps, old.workers, old.step)
     simulator.effort = effort
     search = [*fit.search[: fit.requested], *more]
     freed = problem_of(simulator, search, None, fit.max_iterations, fit.cutoff)
@@ -457,7 +464,7 @@ def _freed(
     for i, by in zip(state.live, item.follow, strict=True):
         c = fit.search[i]
         begin.theta[index[c.name]] = min(max(state.theta[i] + by, c.bounds[0]), c.bounds[1])
-    for name in terms:
+    for name in (term.name for term in terms):
         begin.theta[index[name]] = item.delta * units[name] / freed.search[index[name]].unit
     new = [index[name] for name in units]
     begin = replace(
