@@ -938,7 +938,7 @@ def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells()
         row("known", numbers=False, readings=speed),
         row("lag", numbers=False, readings=lag),
     ]
-    term = Stub(channel="press.v", word="offset")
+    term = Stub(channel="press.v", word="offset", std=1.0)
     log: Any = Stub(
         commanded=("press",), channels=("press.v",), band=None, start=Stub(terms=(term,))
     )
@@ -983,6 +983,7 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
     held = Stub(name="b", unit=0.5, here=2.0)
     still = Stub(name="a", unit=0.0, here=9.0)
     row: Any = Stub(numbers=(still, held) if number else (), remedy=lambda *_: "free it")
+    row.readings = () if number else (("press.v", "offset", 0.5),)
     search = [
         Coordinate("a", False, 1.0, 1.0, 0.0, 9.0),
         Coordinate("b", False, 1.0, 1.0, -9.0, 9.0),
@@ -993,7 +994,8 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
     fit: Any = Stub(search=search[:1], simulator=Stub(rig=None))
     result: Any = Stub(state=Stub(live=(0,)))
     item: Any = Stub(row=row, delta=1.0)
-    with answers(sensitivity, _freed=(Stub(search=search), None, [1]), solve=(None, True),
+    freed = Stub(search=search, logs=[Stub(start=Stub(terms=()))])
+    with answers(sensitivity, _freed=(freed, None, [1]), solve=(None, True),
                  evaluate=None, errors_of=errors, _moved=("moved",),
                  cost=lambda _, state: after if state is end else 100.0):  # fmt: skip
         found = sensitivity._confirmed(fit, result, item, Stub())  # pyright: ignore[reportArgumentType]
@@ -1014,12 +1016,13 @@ def test_a_row_is_freed_from_its_own_step_alone_where_slopes_lead_astray(far, al
     fit: Any = Stub(search=search[:2], simulator=Stub(rig=None))
     errors = {0: Stub(source="hac"), 1: Stub(source="range"), 2: Stub(std=0.1)}
     result: Any = Stub(state=Stub(live=(0, 1)), by_index=errors)
-    row: Any = Stub(numbers=(), remedy=lambda *_: "")
+    row: Any = Stub(numbers=(), readings=(("c", "offset", 1.0),), remedy=lambda *_: "")
     item = sensitivity._Suspect(row, [], (), delta=1.0, follow=np.array([5.0, 7.0]))
+    problem = Stub(search=search, logs=[Stub(start=Stub(terms=()))])
 
     def freed(_, __, asked, effort):
         theta = np.array([*asked.follow, 1.0])
-        return Stub(search=search), Stub(theta=theta, cost=far if theta[0] else alone), [2]
+        return problem, Stub(theta=theta, cost=far if theta[0] else alone), [2]
 
     def solved(_, begin, *given, **more):
         ended.append(begin)
