@@ -464,8 +464,9 @@ def _freed(
     for i, by in zip(state.live, item.follow, strict=True):
         c = fit.search[i]
         begin.theta[index[c.name]] = min(max(state.theta[i] + by, c.bounds[0]), c.bounds[1])
-    for name in (term.name for term in terms):
-        begin.theta[index[name]] = item.delta * units[name] / freed.search[index[name]].unit
+    for term in terms:
+        at = index[term.name]
+        begin.theta[at] = item.delta * units[term.name] / freed.search[at].unit
     new = [index[name] for name in units]
     begin = replace(
         begin,

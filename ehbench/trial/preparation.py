@@ -337,11 +337,7 @@ class Prepared:
                     fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit}
                     sentences += message("trial.beyond_limit", bound=edge, **fields)
         seconds = (span.stop - span.start - 1) / machine.rate
-        stood = {
-            True: "it stood still",
-            False: "it still moved",
-            None: "no sensor says if it stands",
-        }
+        stood = {True: "it stood still", False: "it still moved", None: "no sensor shows motion"}
         sentence = message(
             "trial.after_stop",
             shut=f"within {ramp:.3g} s" if ramp else "at once",
