@@ -73,10 +73,12 @@ class Plant(NamedTuple):
                 edges[end][edges[end] == line.node] = line.chamber
         return edges
 
-    def commanded_before(self, command: np.ndarray) -> Plant:
-        """This plant, commanded ``command`` [V] before the first tick, the valves' first."""
+    def commanded_before(self, command: np.ndarray, late: np.ndarray | float = 0.0) -> Plant:
+        """This plant, commanded ``command`` [V] before the first tick, the valves' first, and each
+        valve ``late`` [s] beside its own delay."""
         valves = self.valves.copy()
         valves["before"] = command[: valves.shape[0]]
+        valves["delay"] += late
         return self._replace(valves=valves)
 
     def at_pressures(self, supply: float | None = None, tank: float | None = None) -> Plant:

@@ -18,7 +18,7 @@ from ehbench.plant.build import Kept, Maps
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import Step
-from ehbench.plant.ties import supplied, tied_words
+from ehbench.plant.ties import late_of, supplied, tied_words
 from ehbench.runtime.fmu import FmuProcess, Variable, fmu_of
 from ehbench.vocabulary import InputError, LogError, message, quantity
 from ehbench.vocabulary.errors import FmuError
@@ -178,7 +178,9 @@ class FmuModel(Model):
             raise InputError(message("plant.fmu_tied"))
         start = start or self.rest_start(record)
         table = self.commands_of(record)
-        given = self.commanded(table)
+        share = np.zeros(table.shape[1])  # of a sample, over which an FMU has the mean
+        share[: len(self.layout.valves)] = late_of(record, self.layout.valves) / record.sample_time
+        given = self.commanded(table - share * np.diff(table, axis=0, prepend=table[:1]))
         with self.binding.process() as process:
             first = process.start(np.concatenate([self.values_at(start), given[0]]))
             rows = np.vstack([first, process.steps(given[:-1], record.sample_time)])

@@ -23,7 +23,7 @@ from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
 from ehbench.plant.rest import CREEPS, carrying, creep, resting
-from ehbench.plant.ties import supplied, tied_words, ties_of
+from ehbench.plant.ties import late_of, supplied, tied_words, ties_of
 from ehbench.plant.trim import LowSide, carry, settle_parts, start_key
 from ehbench.plant.valves import acting_commands
 from ehbench.signals.series import first_of
@@ -450,7 +450,8 @@ class Model:
         if not record.even:
             raise LogError(message("plant.uneven"))
         table = self.commands_of(record)
-        plant = self.plant.at_pressures(start.supply, start.tank).commanded_before(table[0])
+        late = late_of(record, self.layout.valves)
+        plant = self.plant.at_pressures(start.supply, start.tank).commanded_before(table[0], late)
         if not tied_words(record) and not supplied(record):
             return replace(self, plant=plant), table, start.y
         ties, y = ties_of(plant, self.layout, record), start.y.copy()

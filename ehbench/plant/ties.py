@@ -7,6 +7,7 @@ rates and pressures the model's; with ``motion``, rates are the recording's as w
 the answer to it. The supply's pressure may be given where the rig file's supply is not the
 machine's: a pump that gives way, an accumulator."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from ehbench.signals.series import lowpass, white_noise
 
 SUPPLY, RECORDED = "supply", "recorded"  # the fact that the supply's pressure is the recording's
 TIED = "tied"  # the fact of a record that says what of it is tied: a key of WORDS
+DELAY = "delay"  # the last word of the fact of a command, what its samples leave of a delay [s]
 # which words of a cylinder's channels are given then
 WORDS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -49,6 +51,11 @@ def tied_words(record: Record) -> tuple[str, ...]:
 def supplied(record: Record) -> bool:
     """Whether a record gives its supply pressure to a simulation along it."""
     return record.meta.get(SUPPLY) == RECORDED and "p_supply" in record
+
+
+def late_of(record: Record, valves: Sequence[str]) -> np.ndarray:
+    """By how much [s], less than a sample, each valve's command acts later than its samples say."""
+    return np.array([float(record.meta.get(f"{name}.command.{DELAY}", 0.0)) for name in valves])
 
 
 def position_channel(record: Record, cylinder: str) -> str | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.data.record import Record
-from ehbench.plant.ties import tied_words, without_noise
+from ehbench.plant.ties import DELAY, tied_words, without_noise
 from ehbench.vocabulary import InputError, grouped, message
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.quantities import like_channel
@@ -111,9 +111,10 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
 
 def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A log whose known errors are taken out, as sound sensors would have given it by what is
-    estimated as well: commands as the valves get them, readings by their level and scale, a motion
-    that is tied as much earlier as its sensor is late. It is the log itself where nothing is."""
-    channels, given = {}, tied_words(record)
+    estimated as well: commands as the valves get them, to the sample, with what is left of a delay
+    as a fact; readings by their level and scale, a motion that is tied as much earlier as its
+    sensor is late. It is the log itself where nothing is."""
+    channels, given, meta = {}, tied_words(record), dict(record.meta)
     for name, item in grouped(terms, lambda term: term.channel).items():
         if name not in record:
             continue
@@ -122,15 +123,19 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
         if not moved and e.get("offset", 0.0) == e.get("scale", 0.0) == 0.0:
             continue
         true = (record[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
+        late = {t.word: t.value(max(bias.get(t.name, 0.0), t.lowest)) for t in item}
         if name.endswith(".command"):
-            true = _delayed(true, record.sample_time, item, bias)
+            tick, delay = record.sample_time, late.get("delay", 0.0)
+            whole = math.floor(delay / tick + 1e-9)
+            meta[f"{name}.{DELAY}"] = repr(max(delay - whole * tick, 0.0))
+            true = true[np.clip(np.arange(true.size) - whole, 0, true.size - 1)]
+            true = lagged(true, tick, late.get("lag", 0.0))
         elif name.rpartition(".")[2] in given:
-            late = {t.word: t.value(bias.get(t.name, 0.0)) for t in item}
             at, tick = np.arange(true.size, dtype=float), record.sample_time
             true = np.interp(at + late.get("delay", 0.0) / tick, at, true)
             true += late.get("lag", 0.0) * np.gradient(without_noise(true, tick), tick)
         channels[name] = true
-    return replace(record, channels=record.channels | channels) if channels else record
+    return replace(record, channels=record.channels | channels, meta=meta) if channels else record
 
 
 def sensed(replayed: Record, terms: Sequence[Term], bias: Bias) -> Record:

@@ -204,7 +204,12 @@ class Hypothesis:
 
     @cached_property
     def starts(self) -> tuple[dict[str, float], ...]:
-        """Where searches begin, by name [SI]."""
+        """Where searches begin, by name [SI]; of sensors their bias."""
+        if not self.numbers and self.row.step:
+            return tuple(
+                {f"{channel}.{word}": delta * unit for channel, word, unit in self.readings}
+                for delta in self.row.trials or (0.0,)
+            )
         count = max((len(number.starts) for number in self.numbers), default=1)
         return tuple(
             {n.name: n.starts[min(k, len(n.starts) - 1)] for n in self.numbers}
