@@ -92,7 +92,8 @@ def write_tables(
         import pyarrow
         from pyarrow.parquet import write_table
 
-        write_table(pyarrow.table(columns, names=names), folder / "samples.parquet")
+        with (folder / "samples.parquet").open("wb") as file:  # its own names are UTF-8
+            write_table(pyarrow.table(columns, names=names), file)
     last = 4 + len(design.columns)
     inputs = [pd.factorize(y)[0] if y.dtype.kind == "U" else y for y in columns[4:last]]
     nothing = np.empty((len(rows), 0))
