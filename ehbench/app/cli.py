@@ -62,66 +62,63 @@ app = typer.Typer(
 )
 
 
-def _option(*names: str, help: str, **more: Any) -> Any:
-    return typer.Option(*names, help=help, show_default=False, **more)
+def _option(kind: Any, default: Any, usage: str, text: str, **more: Any) -> tuple[Any, Any]:
+    """(type, default) of an option by its usage: ``--as FORMAT``, ``--verbose -v``."""
+    names = [word for word in usage.split() if word.startswith("-")]
+    more["metavar"] = next((word for word in usage.split() if not word.startswith("-")), None)
+    about = typer.Option(*names, help=text, show_default=bool(default), **more)
+    return Annotated[kind, about], default
 
 
-RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
-Out = Annotated[
-    Path | None, _option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.")
-]
-Loud = Annotated[
-    bool | None,
-    _option(
-        *("--verbose/--quiet", "-v/-q"),
-        help="All tables, steps and notes; or no progress, and only the run's path.",
-    ),
-]
-Columns = Annotated[
-    Path | None, _option("--columns", help="A map of the columns of a log by others.")
-]
-AllowCode = Annotated[
-    bool, _option("--allow-code", help="Let code of your own run: a controller, an FMU.")
-]
-Verbose = Annotated[bool, _option("--verbose", "-v", help="All tables, steps and notes.")]
-AsJson = Annotated[bool, _option("--json", help="Print what was found as JSON.")]
+def _word(kind: Any, metavar: str | None, text: str, default: Any = Parameter.empty) -> Any:
+    """(type, default) of a word that stands by its place."""
+    return Annotated[kind, typer.Argument(metavar=metavar, help=text)], default
 
 
-def _row(kind: Any, default: Any, flag: str, text: str, **more: Any) -> tuple[Any, Any]:
-    return Annotated[kind, _option(flag, help=text, **more)], default
+def _pem(usage: str, what: str) -> tuple[Any, Any]:
+    return _option(Path | None, None, usage, f"With --workers tls://…: {what} (PEM).")
 
 
-def _pem(flag: str, what: str) -> tuple[Any, Any]:
-    return _row(Path | None, None, flag, f"With --workers tls://…: {what} (PEM).")
-
-
-# options of commands that run a recipe, with their defaults; the first four are those of all
+_OUT = "Folder for the run. Default: reports/<recipe>_<hash8>/."
+_LOUD = "All tables, steps and notes; or no progress, and only the run's path."
+_FORMATS = "c, fmu2, fmu3, matlab, urdf, mjcf. Default: c."
+_EXPORTED = "A validated rig, a tuning, a trial with a controller, or an export's recipe."
+_SILENCE = "Silence after which it stops, in ms. Default: 20, or four samples."
+_OWNER = "Whose cylinders and valves they are. Default: rig.toml here, if there is one."
+_NUMBER = "A number: a parameter, or the end of its path in the run's JSON."
+# of several commands
 _OPTIONS: dict[str, tuple[Any, Any]] = {
-    "recipe": (RecipeFile, Parameter.empty),
-    "out": (Out, None),
-    "loud": (Loud, None),
-    "as_json": (AsJson, False),
-    "allow_code": (AllowCode, False),
-    "unvalidated": _row(bool, False, "--unvalidated", "Tune on a rig that was not validated."),
-    "suggest": _row(bool, False, "--suggest", "Try what betters the fit; with --out write it."),
-    "seconds": _row(float, 120.0, "--seconds", "With --suggest: how long to try.", min=1.0),
-    "profile": _row(str | None, None, "--profile", "Profile likelihood of this.", metavar="NAME"),
-    "workers": _row(
-        *(str, "", "--workers", "So many here, or a Dask scheduler's, tls://host:8786."),
-        metavar="N|ADDRESS",
+    "file": _word(Path, "recipe", "Recipe (TOML)."),
+    "out": _option(Path | None, None, "--out", _OUT),
+    "loud": _option(bool | None, None, "--verbose/--quiet -v/-q", _LOUD),
+    "as_json": _option(bool, False, "--json", "Print what was found as JSON."),
+    "verbose": _option(bool, False, "--verbose -v", "All tables, steps and notes."),
+    "columns": _option(Path | None, None, "--columns", "A map of the columns of a log by others."),
+    "allow_code": _option(
+        bool, False, "--allow-code", "Let code of your own run: a controller, an FMU."
+    ),
+    "unvalidated": _option(bool, False, "--unvalidated", "Tune on a rig that was not validated."),
+    "suggest": _option(bool, False, "--suggest", "Try what betters the fit; with --out write it."),
+    "seconds": _option(float, 120.0, "--seconds", "With --suggest: how long to try.", min=1.0),
+    "profile": _option(str | None, None, "--profile NAME", "Profile likelihood of this."),
+    "workers": _option(
+        str, "", "--workers N|ADDRESS", "So many here, or a Dask scheduler's, tls://host:8786."
     ),
     "tls_ca_file": _pem("--tls-ca-file", "who signs the cluster's certificates"),
     "tls_cert": _pem("--tls-cert", "your certificate"),
     "tls_key": _pem("--tls-key", "its key"),
-    "insecure_workers": _row(
+    "insecure_workers": _option(
         bool, False, "--insecure-workers", "Let --workers be tcp://… elsewhere"
     ),
-    "resume": _row(bool, False, "--resume", "Go on where a run of this recipe was stopped."),
-    "on": _row(str | None, None, "--on", "The machine: udp://, modbus://, can://", metavar="URL"),
-    "arm": _row(bool, False, "--arm", "Let the machine move: a token is asked for."),
-    "token": _row(str | None, None, "--token", "The token, in a script that lets it move."),
-    "live": _row(bool, False, "--live", "Watch it here and on a page, in real time."),
+    "resume": _option(bool, False, "--resume", "Go on where a run of this recipe was stopped."),
+    "on": _option(str | None, None, "--on URL", "The machine: udp://, modbus://, can://"),
+    "arm": _option(bool, False, "--arm", "Let the machine move: a token is asked for."),
+    "token": _option(str | None, None, "--token", "The token, in a script that lets it move."),
+    "live": _option(bool, False, "--live", "Watch it here and on a page, in real time."),
 }
+
+
+Work = Callable[..., "Answer | tuple[Answer, int] | None"]  # what a command does
 
 
 class Says(NamedTuple):
@@ -135,6 +132,32 @@ class Says(NamedTuple):
     def quiet(self) -> bool:
         """Whether nothing but the place of what was written."""
         return self.loud is False
+
+
+def _command(name: str, example: str, /, *shared: str, help: str = "", **options: Any) -> Any:
+    """A decorator of what a command does, by its words and options, then those of several
+    commands: how much to say, then their values. The answer that it gives, perhaps with an exit
+    code, is said."""
+    rows = options | {key: _OPTIONS[key] for key in shared}
+
+    def register(work: Work) -> Work:
+        def run(**values: Any) -> None:
+            loud = values.pop("loud", None)
+            says = Says(values.pop("verbose", None) or loud, values.pop("as_json", False))
+            result = work(says, **values)
+            if result is not None:
+                answer, code = result if isinstance(result, tuple) else (result, 0)
+                _say(answer, says, code)
+
+        kind = Parameter.KEYWORD_ONLY
+        parameters = [Parameter(key, kind, default=x, annotation=a) for key, (a, x) in rows.items()]
+        run.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+        run.__annotations__ = {key: annotation for key, (annotation, _) in rows.items()}
+        about: Any = {"help": help, "short_help": help} if help else {"help": work.__doc__}
+        app.command(name, epilog=f"Example:  ehbench {name} {example}", **about)(run)
+        return work
+
+    return register
 
 
 def _version(required: bool) -> None:
@@ -155,11 +178,8 @@ def _start(
     pass
 
 
-@app.command(epilog="Example:  ehbench init my_rig")
-def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")],
-    as_json: AsJson = False,
-) -> None:
+@_command("init", "my_rig", "as_json", folder=_word(Path, "DIR", "New folder for the workspace."))
+def init(_: Says, folder: Path) -> Answer:
     """Make a workspace: a commented rig file and recipes that run as they are."""
     from ehbench.app import starter
     from ehbench.report.terminal import Answer
@@ -168,126 +188,112 @@ def init(
     keys = ("steps.check_rig", "steps.identify", "steps.validate")
     steps = [message(key, folder=folder) for key in keys]
     values = {"folder": str(folder)}
-    answer = Answer(message("app.made", folder=folder), steps=steps, values=values)
-    _say(answer, Says(None, as_json))
+    return Answer(message("app.made", folder=folder), steps=steps, values=values)
 
 
-@app.command("check", epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
-def check_file(
-    file: Annotated[
-        Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
-    ],
-    verbose: Verbose = False,
-    as_json: AsJson = False,
-) -> None:
+@_command(
+    "check",
+    "recipes/rigs/thesis_arm.toml",
+    *("verbose", "as_json"),
+    file=_word(Path, None, "A rig, recipe, map of columns, flowmeter CSV or log."),
+)
+def check_file(says: Says, file: Path) -> None:
     """Check a rig, recipe, map, data file or log without running anything.
 
     Of a recipe, all that its run takes in: the rig, maps, data and recipes it names.
     What only a run can tell is said."""
     from ehbench.app import inspection
 
-    result = inspection.check(file, verbose=verbose)
-    if verbose and not as_json:
+    result = inspection.check(file, verbose=bool(says.loud))
+    if says.loud and not says.as_json:
         print("\n".join(result.lines))
     else:
-        _say(result.answer(file), Says(None, as_json))
+        _say(result.answer(file), Says(None, says.as_json))
     for error in result.errors:
         print(f"error: {error}", file=sys.stderr)
     raise typer.Exit(result.code)
 
 
-def _runner(command: Command) -> Callable[..., None]:
-    """What typer calls for a command that runs a recipe: its parameters are those of the help."""
+def _run_recipe(
+    command: Command, says: Says, file: Path, out: Path | None, **settings: Any
+) -> Answer | tuple[Answer, int]:
+    """Run a recipe, make a sample of a study again, or suggest what betters a fit; what is left of
+    the options are ``settings`` of a session."""
+    from ehbench import workflow
 
-    def run(recipe: Path, out: Path | None, loud: bool | None, as_json: bool, **more: Any) -> None:
-        from ehbench import workflow
+    if "workers" in settings:
+        names = ("tls_ca_file", "tls_cert", "tls_key")
+        certificates, insecure = tuple(map(settings.pop, names)), settings.pop("insecure_workers")
+        settings["workers"] = workflow.Workers.of(settings["workers"], certificates, insecure)
+    if "arm" in settings:
+        arm, token = settings.pop("arm"), settings.pop("token")
+        settings["ask"] = (lambda about, expected: token) if token is not None else None
+        settings["ask"] = _typed if arm and token is None else settings["ask"]
+        settings["live"] = partial(_announced, says.quiet) if settings["live"] else None
+    suggest, seconds = settings.pop("suggest", False), settings.pop("seconds", 0.0)
+    profile, on = settings.pop("profile", None), settings.pop("on", None)
+    study, _, index = file.name.partition("#")
+    is_sample = not suggest and index.isdecimal() and not file.exists()
+    recipe = None if is_sample else workflow.expect_stage(file, command.name)
+    if on is not None:
+        from ehbench.app.linking import moved_to
 
-        says = Says(loud, as_json)
-        if "workers" in more:
-            certificates = tuple(more.pop(name) for name in ("tls_ca_file", "tls_cert", "tls_key"))
-            insecure = more.pop("insecure_workers")
-            more["workers"] = workflow.Workers.of(more["workers"], certificates, insecure)
-        if "arm" in more:
-            arm, token = more.pop("arm"), more.pop("token")
-            more["ask"] = (lambda about, expected: token) if token is not None else None
-            more["ask"] = _typed if arm and token is None else more["ask"]
-            more["live"] = partial(_announced, says.quiet) if more["live"] else None
-        suggest, seconds = more.pop("suggest", False), more.pop("seconds", 0.0)
-        if suggest:
-            read = workflow.expect_stage(recipe, command.name)
-            _say_first(says.quiet)
-            with _session(says.quiet, out=out, allow_code=more["allow_code"]) as session:
-                result = workflow.suggest(read, session, seconds)
-            _say(result.answer(recipe, None if out is None else out / read.path.name), says)
+        recipe = moved_to(recipe, on)
+    if settings.get("ask") is not None and "://" not in getattr(recipe, "on", ""):
+        raise InputError(message("links.no_machine"), file=file)
+    _say_first(says.quiet)
+    # to draw a bar would hold up a machine in real time, and a live view draws itself
+    timed = settings.get("live") is not None or "://" in getattr(recipe, "on", "")
+    with _session(says.quiet or timed, out=out, **settings) as session:
+        if suggest and recipe is not None:
+            result = workflow.suggest(recipe, session, seconds)
+            return result.answer(file, None if out is None else out / recipe.path.name)
+        if recipe is None:
+            built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
+            recipe = workflow.expect_stage(built.path, command.name)
+        if profile is None:
+            built = workflow.run(recipe, session)
         else:
-            _run_recipe(command.name, recipe, out, says, **more)
+            built = workflow.profile(recipe, profile, session)
+    from ehbench.report.terminal import answer
 
-    names = [*list(_OPTIONS)[:4], *command.options]
-    kind = Parameter.POSITIONAL_OR_KEYWORD
-    parameters = [
-        Parameter(name, kind, default=default, annotation=annotation)
-        for name, (annotation, default) in ((name, _OPTIONS[name]) for name in names)
-    ]
-    run.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
-    run.__annotations__ = {name: _OPTIONS[name][0] for name in names}
-    return run
+    losses = built.code == workflow.INCOMPLETE
+    return answer(built.folder, built.notes, built.code, losses), built.code
 
 
-for _command in COMMANDS:
-    app.command(
-        _command.name,
-        help=_command.help,
-        short_help=_command.help,
-        epilog=f"Example:  ehbench {_command.name} {_command.example}",
-    )(_runner(_command))
+for _row in COMMANDS:
+    _first = ("file", "out", "loud", "as_json")
+    _command(_row.name, _row.example, *_first, *_row.options, help=_row.help)(
+        partial(_run_recipe, _row)
+    )
 
 
-@app.command(epilog="Example:  ehbench export recipes/rigs/slide_servo.toml --as c --unvalidated")
-def export(  # noqa: PLR0913 - the parameters are the options of the command
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN|RIG|RECIPE",
-            help="A validated rig, a tuning, a trial with a controller, or an export's recipe.",
-        ),
-    ],
-    parts: Annotated[
-        Literal["model", "controller", "both"] | None,
-        _option("--what", help="Default: all there is."),
-    ] = None,
-    formats: Annotated[
-        str,
-        _option(
-            "--as",
-            metavar="FORMAT,...",
-            help="c, fmu2, fmu3, matlab, urdf, mjcf. Default: c.",
-        ),
-    ] = "",
-    payload: Annotated[
-        str, _option("--payload", metavar="NAME", help="What the model carries.")
-    ] = "",
-    rate: Annotated[str, _option("--rate", metavar="HZ", help="Steps a second.")] = "",
-    targets: Annotated[
-        str,
-        _option(
-            "--target",
-            metavar="TARGET,...",
-            help="Of FMUs: linux64, win64, aarch64. Default: here.",
-        ),
-    ] = "",
-    out: Out = None,
-    loud: Loud = None,
-    as_json: AsJson = False,
-    unvalidated: Annotated[
-        bool,
-        typer.Option("--unvalidated", help="Export what no validation accepted and no run tuned."),
-    ] = False,
-    allow_code: AllowCode = False,
-) -> None:
+@_command(
+    "export",
+    "recipes/rigs/slide_servo.toml --as c --unvalidated",
+    *("out", "loud", "as_json", "allow_code"),
+    source=_word(Path, "RUN|RIG|RECIPE", _EXPORTED),
+    parts=_option(
+        Literal["model", "controller", "both"] | None, None, "--what", "Default: all there is."
+    ),
+    formats=_option(str, "", "--as FORMAT,...", _FORMATS),
+    payload=_option(str, "", "--payload NAME", "What the model carries."),
+    rate=_option(str, "", "--rate HZ", "Steps a second."),
+    targets=_option(
+        str, "", "--target TARGET,...", "Of FMUs: linux64, win64, aarch64. Default: here."
+    ),
+    unvalidated=_option(
+        bool, False, "--unvalidated", "Export what no validation accepted and no run tuned."
+    ),
+)
+def export(
+    says: Says, source: Path, parts: str | None, formats: str, payload: str, rate: str, **more: Any
+) -> tuple[Answer, int]:
     """Export a validated model and a tuned controller as C or FMU, with a check of the numbers."""
     from ehbench import workflow
     from ehbench.report.terminal import answer
 
+    targets = more.pop("targets")
     options = {
         "parts": parts,
         "formats": formats.split(",") if formats else (),
@@ -295,111 +301,91 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
         "rate": f"{rate} Hz" if rate[-1:].isdecimal() else rate,
         "targets": targets.split(",") if targets else (),
     }
-    says = Says(loud, as_json)
     _say_first(says.quiet)
-    settings = {"unvalidated": unvalidated, "allow_code": allow_code}
-    with _session(says.quiet, out=out, **settings) as session:
+    with _session(says.quiet, **more) as session:
         built = workflow.export(source, options, session)
-    _say(answer(built.folder, built.notes, built.code), says, built.code)
+    return answer(built.folder, built.notes, built.code), built.code
 
 
-@app.command(
+@_command(
     "report",
-    epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report",
+    "reports/flow_maps_* reports/validation_* --out my_report",
+    *("out", "loud", "as_json"),
+    runs=_word(list[Path], "RUN...", "Run folders."),
 )
-def report_runs(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
-    out: Out = None,
-    loud: Loud = None,
-    as_json: AsJson = False,
-) -> None:
+def report_runs(says: Says, runs: list[Path], out: Path | None) -> tuple[Answer, int]:
     """Write one self-contained HTML report over finished runs, from their saved files only."""
     from ehbench import workflow
     from ehbench.report.terminal import report_answer
 
-    says = Says(loud, as_json)
     with _session(says.quiet, out=out) as session:
         built = workflow.report(runs, session)
-    _say(report_answer(built.folder, built.notes, built.code), says, built.code)
+    return report_answer(built.folder, built.notes, built.code), built.code
 
 
-@app.command(epilog="Example:  ehbench reproduce thesis")
-def reproduce(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")
-    ],
-    out: Annotated[
-        Path | None, _option("--out", help="Folder for all runs. Default: reports/.")
-    ] = None,
-    loud: Loud = None,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-) -> None:
+@_command(
+    "reproduce",
+    "thesis",
+    *("loud", "as_json", "allow_code"),
+    campaign=_word(str, None, "Name of a folder in recipes/, or a campaign file."),
+    out=_option(Path | None, None, "--out", "Folder for all runs. Default: reports/."),
+)
+def reproduce(says: Says, campaign: str, out: Path | None, allow_code: bool) -> tuple[Answer, int]:
     """Run a whole campaign and write its report; runs that stand already are not run again."""
     from ehbench import workflow
     from ehbench.app import starter
     from ehbench.report.terminal import report_answer
 
-    says = Says(loud, as_json)
     recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
     with _session(says.quiet, root=out or workflow.ROOT, allow_code=allow_code) as session:
         built = workflow.run(recipe, session)
-    _say(report_answer(built.folder, built.notes, built.code), says, built.code)
+    return report_answer(built.folder, built.notes, built.code), built.code
 
 
-@app.command(
+@_command(
     "compare",
-    epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b",
+    "reports/identify_1a2b3c4d reports/identify_5e6f7a8b",
+    *("verbose", "as_json"),
+    first=_word(Path, "RUN", "A run folder."),
+    second=_word(Path, "RUN", "Another of the same stage."),
 )
-def compare_runs(
-    first: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
-    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same stage.")],
-    verbose: Verbose = False,
-    as_json: AsJson = False,
-) -> None:
+def compare_runs(_: Says, first: Path, second: Path) -> tuple[Answer, int]:
     """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals; exit
     3 where a run or what it was made from has changed."""
-    from ehbench.report import compare as runs
+    from ehbench.report import compare
 
-    result = runs.compare(first, second)
-    code = 3 if result.changes else 0
-    _say(runs.answer(result, first), Says(verbose or None, as_json), code)
+    result = compare.compare(first, second)
+    return compare.answer(result, first), 3 if result.changes else 0
 
 
-@app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
+@_command(
+    "next",
+    "reports/identify_1a2b3c4d",
+    *("loud", "as_json", "allow_code"),
+    run=_word(Path, "RUN", "The run of a hydraulics fit."),
+    name=_option(str | None, None, "--for", "Parameter to sharpen. Default: the least known."),
+    out=_option(Path | None, None, "--out", "Write the first test as a trial recipe."),
+)
 def next_test(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run of a hydraulics fit.")],
-    name: Annotated[
-        str | None, _option("--for", help="Parameter to sharpen. Default: the least known.")
-    ] = None,
-    out: Annotated[
-        Path | None, _option("--out", help="Write the first test as a trial recipe.")
-    ] = None,
-    loud: Loud = None,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-) -> None:
+    says: Says, run: Path, name: str | None, out: Path | None, allow_code: bool
+) -> Answer:
     """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
     from ehbench import workflow
 
-    says = Says(loud, as_json)
     _say_first(says.quiet)
     with _session(says.quiet, out=out, allow_code=allow_code) as session:
         result = workflow.next_test(run, name, session)
-    _say(result.answer(run, out), says)
+    return result.answer(run, out)
 
 
-@app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
-def why(
-    name: Annotated[
-        str, typer.Argument(help="A number: a parameter, or the end of its path in the run's JSON.")
-    ],
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN...", help="Run or report folders; the newest is asked."),
-    ],
-    as_json: AsJson = False,
-) -> None:
+@_command(
+    "why",
+    "bulk_modulus reports/identify_1a2b3c4d",
+    "as_json",
+    name=_word(str, None, _NUMBER),
+    runs=_word(list[Path], "RUN...", "Run or report folders; the newest is asked."),
+)
+def why(says: Says, name: str, runs: list[Path]) -> None:
     """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
     rig line; exit 3 where these have changed."""
     from ehbench.report.terminal import Answer
@@ -412,22 +398,17 @@ def why(
     if len(runs) > 1:
         said = message("report.of_newest", number=said, run=run, count=len(runs))
     answer, code = Answer(said, [result.table()], values=values), 3 if result.changes else 0
-    _say(answer, Says(None, as_json), code, wide=True)
+    _say(answer, says, code, wide=True)
 
 
-@app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
-def show(
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE|RUN...", help="One or two logs, flow maps or run folders."),
-    ],
-    out: Annotated[
-        Path | None, _option("--out", help="The page. Default: <name>.html here.")
-    ] = None,
-    columns: Columns = None,
-    verbose: Verbose = False,
-    as_json: AsJson = False,
-) -> None:
+@_command(
+    "show",
+    "datasets/slide_servo/steps/press_no_load.mcap",
+    *("columns", "verbose", "as_json"),
+    files=_word(list[Path], "FILE|RUN...", "One or two logs, flow maps or run folders."),
+    out=_option(Path | None, None, "--out", "The page. Default: <name>.html here."),
+)
+def show(says: Says, files: list[Path], out: Path | None, columns: Path | None) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
     them over one another; exit 3 where a run or what it was made from has changed, or a log lost
     data."""
@@ -440,23 +421,18 @@ def show(
     losses: dict[str, Sequence[str]] = {}
     write_text(path, viewer.page(files, columns, changes, losses))
     verdict = message("app.shown", names=", ".join(map(str, files)))
-    _say_losses(Answer(verdict, notes=changes, place=path), losses, Says(verbose, as_json))
+    _say_losses(Answer(verdict, notes=changes, place=path), losses, says)
 
 
-@app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
-def map_columns(
-    file: Annotated[Path, typer.Argument(help="A recording of any format that is read.")],
-    out: Annotated[Path | None, _option("--out", help="Default: <name>.map.toml here.")] = None,
-    rig: Annotated[
-        Path | None,
-        _option(
-            "--rig",
-            help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
-        ),
-    ] = None,
-    loud: Loud = None,
-    as_json: AsJson = False,
-) -> None:
+@_command(
+    "map",
+    "recordings/run_07.tdms --rig rig.toml",
+    *("loud", "as_json"),
+    file=_word(Path, None, "A recording of any format that is read."),
+    out=_option(Path | None, None, "--out", "Default: <name>.map.toml here."),
+    rig=_option(Path | None, None, "--rig", _OWNER),
+)
+def map_columns(_: Says, file: Path, out: Path | None, rig: Path | None) -> Answer:
     """Look at a file of your own recorder and draft a map of its columns, with a picture of each.
 
     The map says which column is which channel, with its unit. Nothing is written over."""
@@ -465,23 +441,18 @@ def map_columns(
 
     if rig is None and Path("rig.toml").is_file():
         rig = Path("rig.toml")
-    built = mapping.draft(file, out, None if rig is None else load_rig(rig))
-    _say(built.answer(), Says(loud, as_json))
+    return mapping.draft(file, out, None if rig is None else load_rig(rig)).answer()
 
 
-@app.command(
-    epilog="Example:  ehbench convert datasets/slide_servo/steps/press_no_load.mcap --to mat"
+@_command(
+    "convert",
+    "datasets/slide_servo/steps/press_no_load.mcap --to mat",
+    *("columns", "verbose", "as_json"),
+    log=_word(Path, None, "A log of any format that is read, or a trial's run."),
+    to=_option(Literal["parquet", "mat"], Parameter.empty, "--to", "What to write."),
+    out=_option(Path | None, None, "--out", "Default: <name>.<to> here."),
 )
-def convert(
-    log: Annotated[
-        Path, typer.Argument(help="A log of any format that is read, or a trial's run.")
-    ],
-    to: Annotated[Literal["parquet", "mat"], _option("--to", help="What to write.")],
-    out: Annotated[Path | None, _option("--out", help="Default: <name>.<to> here.")] = None,
-    columns: Columns = None,
-    verbose: Verbose = False,
-    as_json: AsJson = False,
-) -> None:
+def convert(says: Says, log: Path, to: str, out: Path | None, columns: Path | None) -> None:
     """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over; exit 3 where
     the log lost data."""
     from ehbench.app import converting
@@ -489,121 +460,73 @@ def convert(
 
     path, record = converting.convert(log, to, out, columns)
     answer = Answer(message("app.converted", log=log, format=to), place=path)
-    _say_losses(answer, {log.name: record.losses}, Says(verbose, as_json))
+    _say_losses(answer, {log.name: record.losses}, says)
 
 
-@app.command(epilog="Example:  ehbench quantities damping")
-def quantities(
-    text: Annotated[str, typer.Argument(help="A part of a name or meaning; none: all.")] = "",
-    as_json: AsJson = False,
-) -> None:
+@_command(
+    "quantities",
+    "damping",
+    "as_json",
+    text=_word(str, None, "A part of a name or meaning; none: all.", ""),
+)
+def quantities(_: Says, text: str) -> Answer:
     """List the names that recipes, rig files and maps of columns use, with units and meaning."""
     from ehbench.app import lookup
 
-    _say(lookup.look_up(text), Says(None, as_json))
+    return lookup.look_up(text)
 
 
-@app.command(epilog="Example:  ehbench wire recipes/rigs/slide_servo.toml --csv")
-def wire(
-    rig: Annotated[Path, typer.Argument(help="A rig file, or a run with one.")],
-    c: Annotated[bool, typer.Option("--c", help="A C header; with --out its responder.")] = False,
-    m: Annotated[bool, typer.Option("--m", help="A MATLAB script.")] = False,
-    py: Annotated[bool, typer.Option("--py", help="Python; with --out its responder.")] = False,
-    dbc: Annotated[bool, typer.Option("--dbc", help="A DBC file, for CAN.")] = False,
-    csv: Annotated[bool, typer.Option("--csv", help="A table, the default.")] = False,
-    rate: Annotated[
-        float, typer.Option("--rate", help="Of the target [Hz].", min=1.0, max=1e6)
-    ] = 1000.0,
-    out: Annotated[Path | None, _option("--out", help="Folder to write to.")] = None,
-) -> None:
+@_command(
+    "wire",
+    "recipes/rigs/slide_servo.toml --csv",
+    rig=_word(Path, None, "A rig file, or a run with one."),
+    c=_option(bool, False, "--c", "A C header; with --out its responder."),
+    m=_option(bool, False, "--m", "A MATLAB script."),
+    py=_option(bool, False, "--py", "Python; with --out its responder."),
+    dbc=_option(bool, False, "--dbc", "A DBC file, for CAN."),
+    csv=_option(bool, False, "--csv", "A table, the default."),
+    rate=_option(float, 1000.0, "--rate", "Of the target [Hz].", min=1.0, max=1e6),
+    out=_option(Path | None, None, "--out", "Folder to write to."),
+)
+def wire(_: Says, rig: Path, rate: float, out: Path | None, **chosen: bool) -> None:
     """Write the layout of the packets of a rig, for its own computer."""
     from ehbench.app import linking
 
-    chosen = {"c": c, "m": m, "py": py, "dbc": dbc, "csv": csv}
     kinds = [name for name, is_chosen in chosen.items() if is_chosen] or ["csv"]
     print(linking.wire(rig, kinds, rate, out), end="")
 
 
-@app.command(epilog="Example:  ehbench link udp://192.168.0.5:47000 --seconds 60")
-def link(
-    url: Annotated[str, typer.Argument(help="Of the machine: udp://, modbus://, can://")],
-    seconds: Annotated[float, typer.Option("--seconds", help="How long.", min=0.1)] = 60.0,
-    as_json: AsJson = False,
-) -> None:
+@_command(
+    "link",
+    "udp://192.168.0.5:47000 --seconds 60",
+    "as_json",
+    url=_word(str, None, "Of the machine: udp://, modbus://, can://"),
+    seconds=_option(float, 60.0, "--seconds", "How long.", min=0.1),
+)
+def link(_: Says, url: str, seconds: float) -> tuple[Answer, int]:
     """Measure round trip, lost and late ticks of a link; exit 4 where no trial may run over it."""
     from ehbench.app import linking
 
-    answer, code = linking.measured(url, seconds)
-    _say(answer, Says(None, as_json), code)
+    return linking.measured(url, seconds)
 
 
-@app.command("serve", epilog="Example:  ehbench serve recipes/trials/arc_slow.toml --on bench")
-def serve_machine(
-    file: Annotated[Path, typer.Argument(help="A trial, whose machine it is, or a bench file.")],
-    at: Annotated[
-        str, typer.Option("--at", metavar="URL", help="Where.")
-    ] = "udp://127.0.0.1:47000",
-    on: Annotated[
-        Literal["model", "bench"] | None, _option("--on", help="Default: as the trial.")
-    ] = None,
-    rate: Annotated[
-        float | None, _option("--rate", help="Of the target [Hz].", min=1.0, max=1e6)
-    ] = None,
-    watchdog: Annotated[
-        float | None,
-        _option(
-            "--watchdog",
-            help="Silence after which it stops, in ms. Default: 20, or four samples.",
-            min=1.0,
-        ),
-    ] = None,
-    allow_code: AllowCode = False,
-) -> None:
+@_command(
+    "serve",
+    "recipes/trials/arc_slow.toml --on bench",
+    "allow_code",
+    file=_word(Path, None, "A trial, whose machine it is, or a bench file."),
+    at=_option(str, "udp://127.0.0.1:47000", "--at URL", "Where."),
+    on=_option(Literal["model", "bench"] | None, None, "--on", "Default: as the trial."),
+    rate=_option(float | None, None, "--rate", "Of the target [Hz].", min=1.0, max=1e6),
+    watchdog=_option(float | None, None, "--watchdog", _SILENCE, min=1.0),
+)
+def serve_machine(_: Says, file: Path, at: str, watchdog: float | None, **more: Any) -> None:
     """Serve a model or the virtual bench as a machine by itself, in real time, with watchdog,
     clamps and the trial's faults: what a target must do."""
     from ehbench.app import linking
 
     silence = None if watchdog is None else 1e-3 * watchdog
-    linking.serve(file, at, on, rate, silence, allow_code)
-
-
-def _run_recipe(
-    command: str,
-    file: Path,
-    out: Path | None,
-    says: Says,
-    *,
-    profile: str | None = None,
-    on: str | None = None,
-    **settings: Any,
-) -> None:
-    """Run a recipe, or make a sample of a study again; ``settings`` are those of a session."""
-    from ehbench import workflow
-
-    study, _, index = file.name.partition("#")
-    is_sample = index.isdecimal() and not file.exists()
-    recipe = None if is_sample else workflow.expect_stage(file, command)
-    if on is not None:
-        from ehbench.app.linking import moved_to
-
-        recipe = moved_to(recipe, on)
-    if settings.get("ask") is not None and "://" not in getattr(recipe, "on", ""):
-        raise InputError(message("links.no_machine"), file=file)
-    _say_first(says.quiet)
-    # to draw a bar would hold up a machine in real time, and a live view draws itself
-    timed = settings.get("live") is not None or "://" in getattr(recipe, "on", "")
-    with _session(says.quiet or timed, out=out, **settings) as session:
-        if recipe is None:
-            built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
-            recipe = workflow.expect_stage(built.path, command)
-        if profile is None:
-            built = workflow.run(recipe, session)
-        else:
-            built = workflow.profile(recipe, profile, session)
-    from ehbench.report.terminal import answer
-
-    losses = built.code == workflow.INCOMPLETE
-    _say(answer(built.folder, built.notes, built.code, losses), says, built.code)
+    linking.serve(file, at, watchdog=silence, **more)
 
 
 def _typed(about: str, token: str) -> str:
@@ -656,6 +579,7 @@ def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says)
     exit 3 where an answer has notes already, or data could not be used."""
     from ehbench.data.record import lost, noted_losses
 
+    says = Says(bool(says.loud), says.as_json)  # the place alone, unless more is asked for
     each = [noted_losses(name, notes) for name, notes in losses.items()]
     gone = [*answer.notes, *(note for every in losses.values() for note in lost(every))]
     notes = [*answer.notes, *(note for few, _ in each for note in few)]

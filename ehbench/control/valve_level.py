@@ -17,6 +17,7 @@ from ehbench.control.functions import (
     capacity,
     metering_drop,
     path_drop,
+    supply_draw,
     widest,
 )
 from ehbench.control.measured import Pressures
@@ -183,3 +184,10 @@ def top_speed(function: int, p: Pressures, circuit: Circuit) -> float:
         if need > 0.0:
             fastest = min(fastest, capacity(circuit, path, path_drop(path, p, circuit)) / need)
     return 0.0 if math.isinf(fastest) else fastest
+
+
+def pump_speed(function: int, circuit: Circuit) -> float:
+    """Largest speed [m/s] for which the pump brings what a function draws, infinite where that is
+    nothing."""
+    drawn = float(supply_draw(function, circuit))
+    return float(circuit.supply[0].flow_limit) / drawn if drawn > 0.0 else math.inf

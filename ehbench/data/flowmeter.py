@@ -206,8 +206,16 @@ def read_flowmeter(
     Raises:
         InputError, UnitError: with file, line and what would be right."""
     path = Path(path)
-    named = columns is not None and bool(columns.columns.names)
-    sheets = _mapped(path, columns) if columns and named else [_named(path)]
+    sheets = []
+    if columns is not None and columns.columns.names:
+        source = open_source(path, dialect_of(columns))
+        tables = alike(source, list(columns.columns.names))
+        each = [(replace(source, tables=(table,)), table.name) for table in tables]
+        if len(tables) < 2:  # where no column names the valve, the file does
+            each = [(source, Path(path.name.removesuffix(".gz")).stem)]
+        sheets += [sheet for item in each for sheet in _mapped_table(path, *item, columns)]
+    else:
+        sheets.append(_named(path))
     left_out = LeftOut([path.name] if leave_out else [])
     rows: list[dict[str, Any]] = []
     for sheet in sheets:
@@ -301,17 +309,6 @@ def _check_columns(names: Collection[str], where: Mapping[str, Any], lacks: str)
         shown = [f"{n} [{VOCABULARY[n].display}]" if n in _NUMBERS else n for n in missing]
         columns, cells = " and ".join(missing), " and ".join(f'"{text}"' for text in shown)
         raise InputError(message(lacks, columns=columns, cells=cells), **where)
-
-
-def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
-    """The readings of each table of a foreign file that has all columns of a map, of the first
-    where there are less than two. Where no column names the valve, the table or the file does."""
-    source = open_source(path, dialect_of(columns))
-    tables = alike(source, list(columns.columns.names))
-    if len(tables) < 2:
-        return _mapped_table(path, source, Path(path.name.removesuffix(".gz")).stem, columns)
-    each = [(replace(source, tables=(table,)), table.name) for table in tables]
-    return [sheet for item in each for sheet in _mapped_table(path, *item, columns)]
 
 
 def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> list[_Sheet]:

@@ -73,19 +73,19 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Known:
-    """A fitted parameter as its run left it: value and interval [SI], status."""
+    """A fitted parameter as its run left it: value and interval [SI], None where the logs do not
+    excite it."""
 
     name: str
     value: float
     interval: tuple[float, float] | None
-    status: str
 
 
 def widest(fitted: Sequence[Known], search: Sequence[Coordinate]) -> str:
     """The least known parameter: one without an interval, else with the widest."""
 
     def width(item: Known, c: Coordinate) -> float:
-        if item.interval is None or item.status == "not_excited":
+        if item.interval is None:
             return math.inf
         return c.of(max(item.interval[1], c.lower)) - c.of(max(item.interval[0], c.lower))
 
@@ -162,11 +162,10 @@ class _Planner:
     def __init__(self, prepared: PreparedFit, fitted: Sequence[Known], which: int) -> None:
         self.prepared, self.fitted, self.which = prepared, fitted, which
         self.values = [item.value for item in fitted]
-        self.rig = prepared.rig.with_values(
-            {item.name: item.value for item in fitted if item.status != "not_excited"}
-        )
+        excited = [item for item in fitted if item.interval is not None]
+        self.rig = prepared.rig.with_values({item.name: item.value for item in excited})
         # with dead bands as wide as the logs leave them: what a test must open for sure
-        ends = {item.name: item.interval[1] for item in fitted if item.interval is not None}
+        ends = {item.name: item.interval[1] for item in excited if item.interval}
         self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
         problem = problem_over(prepared, prepared.logs)
         state = estimate_starts(problem, self.values)
@@ -175,21 +174,15 @@ class _Planner:
         self.scales, self.weight = state.scales, state.prior_weight
         self.normal = np.sum([eliminate(b, self.weight).normal for b in blocks], axis=0)
         self.normal = self.normal + prior.normal
-        self.live = [
-            i for i, item in enumerate(fitted) if item.status != "not_excited" or i == which
-        ]
+        self.live = [i for i, item in enumerate(fitted) if item.interval or i == which]
         self.live += range(len(fitted), len(self.normal))
         # half of each present interval in search coordinates over the error for white residuals;
-        # the median stands for those without
-        errors, wider = dict(zip(self.live, self._error(self.normal), strict=True)), {}
-        for i in (i for i in self.live if i < len(fitted)):
-            c, ends = prepared.search[i], fitted[i].interval
-            if ends is not None and fitted[i].status != "not_excited":
-                low, high = (c.of(min(max(end, c.lower), c.upper)) for end in ends)
-                middle = c.of(self.values[i])
-                wider[i] = max(high - middle, middle - low) / max(errors[i], 1e-300)
-        usual = float(np.median(list(wider.values()))) if wider else 2.0
-        self.widening = {i: wider.get(i, usual) for i in self.live}
+        # the median stands for one without
+        wider, errors = {}, dict(zip(self.live, self._error(self.normal), strict=True))
+        for i, (c, item) in enumerate(zip(prepared.search, fitted, strict=True)):
+            if (half := c.half(item.value, item.interval)) is not None:
+                wider[i] = half / max(errors[i], 1e-300)
+        self.widening = wider.get(which, float(np.median([*wider.values()])) if wider else 2.0)
         self.drives = list(drives_of(self.rig, prepared.logs))
         # of the sensors by quantity, from how consecutive samples differ
         noise: dict[str, list[float]] = {}
@@ -244,10 +237,9 @@ class _Planner:
         k = self.live.index(self.which)
         c, known = self.prepared.search[self.which], self.fitted[self.which]
         std, before = self._error(after)[k], self._error(self.normal)[k]
-        half = self.widening[self.which] * float(std)
+        half = self.widening * float(std)
         middle = c.of(self.values[self.which])
-        excited = known.interval is not None and known.status != "not_excited"
-        share = float(std / before) if excited and before > 0.0 else None
+        share = float(std / before) if known.interval and before > 0.0 else None
         return [Proposal(trial, (c.at(middle - half), c.at(middle + half)), share)]
 
     def _log(self, trial: Trial) -> Log:
@@ -337,6 +329,5 @@ def commands_of(entries: Sequence[Mapping[str, Any]], t: np.ndarray) -> dict[str
     results: dict[str, np.ndarray] = {}
     for entry in entries:
         on = (t >= entry["start"] - 1e-9) & (t < entry["stop"] - 1e-9)
-        results.setdefault(entry["valve"], np.zeros_like(t))
-        results[entry["valve"]] += entry["amplitude"] * on
+        results[entry["valve"]] = results.get(entry["valve"], 0.0) + entry["amplitude"] * on
     return results

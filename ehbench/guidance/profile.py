@@ -67,19 +67,10 @@ def profile(
     return fit, _profile(c, fitted, result, [n for n in names if n != name])
 
 
-def _half(c: Coordinate, fitted: FittedParameter) -> float | None:
-    """The longer half of a parameter's interval in search coordinates; None where it has none."""
-    if fitted.interval is None or fitted.status == "not_excited":
-        return None
-    low, high = (c.of(min(max(end, c.lower), c.upper)) for end in fitted.interval)
-    best = c.of(fitted.value)
-    return max(best - low, high - best)
-
-
 def profile_values(c: Coordinate, fitted: FittedParameter) -> np.ndarray:
     """Values to fix a parameter at, in search coordinates, inside its bounds, its best among them:
     six on either side, out to twice its interval, or to 1 where it has none."""
-    best, half = c.of(fitted.value), _half(c, fitted)
+    best, half = c.of(fitted.value), c.half(fitted.value, fitted.interval)
     reach = 1.0 if half is None else 2.0 * half
     every = best + reach * np.arange(-6, 7) / 6
     return np.unique(np.clip(every, *c.bounds))
@@ -96,7 +87,7 @@ def _profile(
     rise = cost - cost.min()
     best = float(theta[np.argmin(cost)])
     centre, scale = c.of(fitted.value), 1.0
-    if (half := _half(c, fitted)) is not None:
+    if (half := c.half(fitted.value, fitted.interval)) is not None:
         near = (np.abs(theta - centre) <= 1.01 * half) & (theta != centre)
         square = (theta[near] - centre) ** 2
         curve = float(np.sum(rise[near] * square) / np.sum(square**2)) if near.any() else 0.0

@@ -100,6 +100,13 @@ class Coordinate:
         margin = 1e-3 * self.reach
         return min(max(self.of(value), low + margin), high - margin)
 
+    def half(self, value: float, interval: tuple[float, float] | None) -> float | None:
+        """The longer half of an interval about a value, both SI; None where it has none."""
+        if interval is None:
+            return None
+        low, high = (self.of(min(max(end, self.lower), self.upper)) for end in interval)
+        return max(self.of(value) - low, high - self.of(value))
+
     def spread(
         self, theta: float, std: float, quantile: float
     ) -> tuple[float, tuple[float, float]]:

@@ -3,14 +3,14 @@
 What cannot be right raises an error; the rest are notes."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import permutations
 
 import numpy as np
 
-from ehbench.config.rig import Cylinder, Rig
+from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.rates import is_bad, range_of
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
@@ -24,6 +24,7 @@ from ehbench.vocabulary.quantities import GAUGES
 from ehbench.vocabulary.units import factor
 
 LEAST_SAMPLES = 3
+_MOTION, _ENDS = ("q", "x", "qd", "v"), ("p_head", "p_rod")
 LIMITED = ("Pa", "N")  # units of channels whose sensors may stand at the end of their range
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
@@ -56,6 +57,25 @@ class PlausibilitySettings:
 
 
 SETTINGS = PlausibilitySettings()
+
+
+def _recorded(
+    record: Record, cylinder: Cylinder, *words: str
+) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(word, channel, values) of what a log has of a cylinder among some words, in their order."""
+    for word in words:
+        if (channel := f"{cylinder.name}.{word}") in record:
+            yield word, channel, record[channel]
+
+
+def _commanded(
+    record: Record, cylinders: Iterable[Cylinder]
+) -> Iterator[tuple[Cylinder, Valve, str, np.ndarray]]:
+    """(cylinder, valve, channel, values) of each command [V] that a log has."""
+    for cylinder in cylinders:
+        for valve in cylinder.valve:
+            for _, channel, values in _recorded(record, cylinder, f"{valve.name}.command"):
+                yield cylinder, valve, channel, values
 
 
 def replay_notes(name: str, record: Record, model: Model) -> Iterator[Message]:
@@ -187,15 +207,12 @@ def refuse_sample_time(name: str, record: Record, rig: Rig) -> None:
 
 def refuse_commands(name: str, record: Record, rig: Rig) -> None:
     """Refuse commands that no driver of the rig takes."""
-    for cylinder, valve in rig.valves():
-        channel = f"{cylinder.name}.{valve.name}.command"
-        if channel not in record:
-            continue
+    for _, valve, channel, values in _commanded(record, rig.cylinder):
         low, high = float(valve.command_min), float(valve.command_max)
         slack = SETTINGS.overshoot * (high - low)
-        out = np.flatnonzero((record[channel] < low - slack) | (record[channel] > high + slack))
+        out = np.flatnonzero((values < low - slack) | (values > high + slack))
         if out.size:
-            first = {"command": record[channel][out[0]], "time": record.t[out[0]]}
+            first = {"command": values[out[0]], "time": record.t[out[0]]}
             fields = {"channel": channel, "low": low, "high": high, **first}
             raise InputError(message("preprocessing.outside_driver", log=name, **fields))
 
@@ -273,20 +290,18 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
     except EhbenchError:
         return  # a posture outside the stroke: the simulation says so
     for index, cylinder in enumerate(rig.cylinder):
-        ends = {"p_head": f"{cylinder.name}.p_head", "p_rod": f"{cylinder.name}.p_rod"}
-        seen = {word: record[channel] for word, channel in ends.items() if channel in record}
+        seen = {word: values for word, _, values in _recorded(record, cylinder, *_ENDS)}
         if not seen:
             continue
-        areas = dict(zip(ends, cylinder.areas(), strict=True))
-        head, rod = (start[names.state(word, index)] * areas[word] for word in ends)
+        areas = dict(zip(_ENDS, cylinder.areas(), strict=True))
+        head, rod = (start[names.state(word, index)] * areas[word] for word in _ENDS)
         force = head - rod
-        carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
+        carrying, other = _ENDS if force > 0 else _ENDS[::-1]
         need = abs(force) / areas[carrying]
         peak = _peak(name, rig, cylinder, seen, supply, need)
         fed = any(
-            (command := f"{cylinder.name}.{valve.name}.command") in record
-            and bool(np.any(edge.sign * record[command] > valve.onset(edge)))
-            for valve in cylinder.valve
+            np.any(edge.sign * values > valve.onset(edge))
+            for _, valve, _, values in _commanded(record, [cylinder])
             for edge in valve.edge
             if edge.from_ == "supply"
         )
@@ -347,22 +362,20 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
     for cylinder in rig.cylinder:
         name, moves = cylinder.name, _travels(record, cylinder)
         pushed = not moves and _pushed(record, rig, cylinder)
-        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES):
-            if (channel := f"{name}.{word}") not in record:
-                continue
-            way, motion = float(np.ptp(record[channel])), word in ("q", "x", "qd", "v")
+        for word, channel, values in _recorded(record, cylinder, *_MOTION, *_ENDS, *GAUGES):
+            way, motion = float(np.ptp(values)), word in _MOTION
             least = SETTINGS.still * _travel_of(cylinder, word) if word in ("q", "x") else 0.0
             still = motion and way <= least
             fields = {"channel": channel, "cylinder": name}
             if way == 0.0 and (moves or (pushed and not motion)):
-                level = rig.shown(channel, record[channel][0])
+                level = rig.shown(channel, values[0])
                 yield message("preprocessing.constant", level=level, **fields)
             elif moves and still:
                 yield message("preprocessing.stands_still", **fields)
             elif pushed and still:
                 yield message("preprocessing.stands_still_pushed", **fields)
     yield from constant_lines(record, rig)
-    names = [f"{c.name}.{word}" for c in rig.cylinder for word in ("p_head", "p_rod", *GAUGES)]
+    names = [f"{c.name}.{word}" for c in rig.cylinder for word in (*_ENDS, *GAUGES)]
     for name in [*names, "p_supply"]:
         if name in record and (there := at_limit(record[name])).any():
             first, share = int(np.argmax(there)), 100.0 * float(np.mean(there))
@@ -374,17 +387,13 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
         way, by = "above" if off > 0.0 else "below", rig.cylinder_named(name).linkage_word
         yield message("preprocessing.off_pins", cylinder=name, off=shown, way=way, linkage=by)
     for cylinder in rig.cylinder:
-        ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
-        if not all(end in record for end in ends):
-            continue
-        head, rod = (record[end] for end in ends)
-        area_head, area_rod = cylinder.areas()
-        for word in GAUGES:
-            name = f"{cylinder.name}.{word}"
-            pushed = head - rod if word == "load_pressure" else head * area_head - rod * area_rod
-            if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
+        ends = [values for *_, values in _recorded(record, cylinder, *_ENDS)]
+        for word, name, values in _recorded(record, cylinder, *GAUGES) if len(ends) == 2 else ():
+            head_area, rod_area = (1.0, 1.0) if word == "load_pressure" else cylinder.areas()
+            pushed = ends[0] * head_area - ends[1] * rod_area
+            if not np.std(values) > 0.0 or not np.std(pushed) > 0.0:
                 continue
-            if np.corrcoef(record[name], pushed)[0, 1] < SETTINGS.against:  # the sensor is turned
+            if np.corrcoef(values, pushed)[0, 1] < SETTINGS.against:  # the sensor is turned
                 yield _turned("gauge_turned", name)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
@@ -426,13 +435,11 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
     """Whether a cylinder's command changes, and its pressures by a good part of the supply's."""
     requested = any(
-        (channel := f"{cylinder.name}.{valve.name}.command") in record
-        and np.ptp(record[channel])
-        > SETTINGS.on * (float(valve.command_max) - float(valve.command_min))
-        for valve in cylinder.valve
+        np.ptp(values) > SETTINGS.on * (float(valve.command_max) - float(valve.command_min))
+        for _, valve, _, values in _commanded(record, [cylinder])
     )
-    ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
-    maximum = max((float(np.ptp(record[end])) for end in ends if end in record), default=0.0)
+    ways = (float(np.ptp(values)) for *_, values in _recorded(record, cylinder, *_ENDS))
+    maximum = max(ways, default=0.0)
     return requested and maximum > SETTINGS.pushed * max(float(rig.supply.pressure), 1.0e6)
 
 
@@ -463,10 +470,10 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
     worst."""
     results = {}
     for index, cylinder in enumerate(model.rig.cylinder):
-        names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
-        if cylinder.linkage is None or any(name not in record for name in names):
+        places = [values for *_, values in _recorded(record, cylinder, "x", "q")]
+        if cylinder.linkage is None or len(places) < 2:
             continue
-        x, q = (record[name] for name in names)
+        x, q = places
         off = x - linkage_arrays(model.plant.cylinders[index], q)[0]
         noise = white_noise(off)
         level, maximum = float(np.median(off)), float(off[np.argmax(np.abs(off))])
@@ -482,14 +489,12 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
     """Notes on positions and speeds that fall while the commands extend a cylinder."""
     for cylinder in rig.cylinder:
         opened = np.zeros((2, record.t.size), dtype=bool)
-        for valve in cylinder.valve:
-            channel = f"{cylinder.name}.{valve.name}.command"
+        for _, valve, _, values in _commanded(record, [cylinder]):
             for edge in valve.edge:
-                if channel not in record or {edge.from_, edge.to} == {"head", "rod"}:
-                    continue
-                out = "head" == edge.to or "rod" == edge.from_
-                reach = edge.sign * record[channel]
-                opened[0 if out else 1] |= reach > max(valve.onset(edge), 0.0)
+                if {edge.from_, edge.to} != {"head", "rod"}:
+                    out = "head" == edge.to or "rod" == edge.from_
+                    reach = edge.sign * values
+                    opened[0 if out else 1] |= reach > max(valve.onset(edge), 0.0)
         ways = opened[0].astype(float) - opened[1].astype(float)
         ends = np.flatnonzero(np.diff(ways, prepend=0.0, append=0.0))
         if ends.size < 2:
@@ -497,10 +502,8 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
         each = ways[ends[:-1]]
         driven = each != 0.0
         sign = 1 if cylinder.linkage is None else cylinder.linkage.sign
-        for word, turn in (("x", 1), ("v", 1), ("q", sign), ("qd", sign)):
-            channel = f"{cylinder.name}.{word}"
-            if channel not in record:
-                continue
+        for word, channel, _ in _recorded(record, cylinder, "x", "v", "q", "qd"):
+            turn = sign if word in ("q", "qd") else 1
             y = turn * _way(record, channel)
             gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
@@ -526,13 +529,10 @@ def _way(record: Record, channel: str) -> np.ndarray:
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:
     """Whether a position, or the integral of a speed, changes by more than sensors err."""
-    for word in ("q", "x", "qd", "v"):
-        channel = f"{cylinder.name}.{word}"
-        if channel not in record:
-            continue
-        if np.ptp(_way(record, channel)) > SETTINGS.travel * _travel_of(cylinder, word):
-            return True
-    return False
+    return any(
+        np.ptp(_way(record, channel)) > SETTINGS.travel * _travel_of(cylinder, word)
+        for word, channel, _ in _recorded(record, cylinder, *_MOTION)
+    )
 
 
 def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
@@ -540,11 +540,10 @@ def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
     command."""
     results, span = [], SETTINGS.first / record.sample_time
     for cylinder in rig.cylinder:
-        known = (word for word in ("qd", "v", "q", "x") if f"{cylinder.name}.{word}" in record)
-        word = next(known, None)
-        if word is None or not _travels(record, cylinder):
+        first = next(_recorded(record, cylinder, "qd", "v", "q", "x"), None)
+        if first is None or not _travels(record, cylinder):
             continue
-        y = record[f"{cylinder.name}.{word}"]
+        word, _, y = first
         jumps = np.abs(np.diff(y))
         if word in ("qd", "v"):
             count = min(rest, max(1, round(span)))
@@ -568,11 +567,8 @@ def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
 def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
     """Commands [V] that are already on at the first sample, by channel."""
     results = {}
-    for cylinder, valve in rig.valves():
-        channel = f"{cylinder.name}.{valve.name}.command"
-        if channel not in record:
-            continue
-        first = float(np.median(record[channel][:rest]))
+    for _, valve, channel, values in _commanded(record, rig.cylinder):
+        first = float(np.median(values[:rest]))
         minimum = SETTINGS.on * (float(valve.command_max) - float(valve.command_min))
         if any(edge.sign * first > max(valve.onset(edge), 0.0) + minimum for edge in valve.edge):
             results[channel] = first
@@ -589,8 +585,7 @@ def idle_at_first(
     the openings in proportion."""
     for cylinder in rig.cylinder:
         ends, share, opened = set[str](), 1.0, {}
-        for valve in cylinder.valve:
-            channel = f"{cylinder.name}.{valve.name}.command"
+        for _, valve, channel, values in _commanded(record, [cylinder]):
             if channel not in on:
                 continue
             opened[channel] = on[channel]
@@ -598,11 +593,11 @@ def idle_at_first(
                 least = max(valve.onset(edge), 0.0)
                 if (opening := edge.sign * on[channel] - least) > 0.0:
                     ends |= {edge.from_, edge.to}
-                    share = min(share, opening / (np.abs(record[channel]).max() - least))
-        words = (word for word in ("q", "x", "qd", "v") if f"{cylinder.name}.{word}" in record)
-        if not {"head", "rod"} <= ends or (word := next(words, None)) is None:
+                    share = min(share, opening / (np.abs(values).max() - least))
+        first = next(_recorded(record, cylinder, *_MOTION), None)
+        if not {"head", "rod"} <= ends or first is None:
             continue
-        way = _way(record, f"{cylinder.name}.{word}")
+        word, way = first[0], _way(record, first[1])
         usual = np.abs(way[rest:] - way[:-rest]).max(initial=0.0)
         surely = usual > SETTINGS.travel * _travel_of(cylinder, word)
         if surely and np.ptp(way[:rest]) < SETTINGS.ongoing * share * usual:

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Text
@@ -34,48 +34,37 @@ _CONSTANT = "constant pressure"
 
 @dataclass(frozen=True)
 class Saving:
-    """A closed cycle against its bound, and the thriftiest four-way valve, ``reference`` [J]."""
+    """A closed cycle against its bound, energies in J: ``used``, drawn from the supply, ± ``half``
+    (95 %), of what that gave in all; the minimum of its working functions, ``bound``, in the
+    circuit ``against``; half the interval of what is not accounted for; what the thriftiest
+    four-way valve drew, ``reference``."""
 
     case: Case
     ledger: Table
     limits: Table
-    reference: float | None
+    against: str
+    used: float
+    bound: float
+    half: float | None
+    rest_half: float | None
+    given: float
+    is_spool: bool
+    reference: float | None = None
 
-    @property
-    def used(self) -> float:
-        """Drawn from the supply [J]."""
-        return self.limits["used"]
-
-    @property
-    def against(self) -> str:
-        """Of which circuit its bound is."""
-        return self.limits.get("against") or "standard"
-
-    @property
-    def bound(self) -> float:
-        """The minimum that its working functions can do with [J]."""
-        return self.limits[self.against]
+    @classmethod
+    def of(cls, case: Case, ledger: Table, limits: Table) -> Self:
+        """That of a trial by its ledger and one of the bounds there."""
+        rows, against = ledger["rows"], limits.get("against") or "standard"
+        drawn = next(row for row in rows if row["name"] == f"{case.cylinder}.drawn")
+        halves = half_of(drawn), half_of(next(r for r in rows if r["group"] == "residual"))
+        given = math.fsum(row["energy"] for row in rows if row["group"] == "supply")
+        about = against, limits["used"], limits[against], *halves, given
+        return cls(case, ledger, limits, *about, four_way(ledger, case.cylinder))
 
     @property
     def saved(self) -> float | None:
         """Share by which it drew less than the four-way valve."""
         return None if self.reference is None else 1.0 - self.used / self.reference
-
-    @property
-    def half(self) -> float | None:
-        """Half the 95 % interval of what was drawn [J]."""
-        name = f"{self.case.cylinder}.drawn"
-        return next(half_of(row) for row in self.ledger["rows"] if row["name"] == name)
-
-    @property
-    def rest_half(self) -> float | None:
-        """Half the 95 % interval of what is not accounted for [J]."""
-        return half_of(next(row for row in self.ledger["rows"] if row["group"] == "residual"))
-
-    @property
-    def given(self) -> float:
-        """What the supply gave in all [J]."""
-        return math.fsum(row["energy"] for row in self.ledger["rows"] if row["group"] == "supply")
 
     @property
     def name(self) -> str:
@@ -87,11 +76,6 @@ class Saving:
     def motion(self) -> tuple[str, str]:
         """Payload and motion."""
         return self.case.row["payload"], self.case.row["motion"]
-
-    @property
-    def is_spool(self) -> bool:
-        """Whether it ran on a four-way valve."""
-        return four_way(self.ledger, self.case.cylinder)
 
     @cached_property
     def causes(self) -> dict[str, float]:
@@ -129,7 +113,7 @@ def four_way(ledger: Table, cylinder: str) -> bool:
 def savings_of(cases: Sequence[Case]) -> list[Saving]:
     """The closed cycles among some trials, with their bounds."""
     savings = [
-        Saving(case, ledger, limits, None)
+        Saving.of(case, ledger, limits)
         for case in cases
         if not case.row.get("stopped") and (ledger := case.energy()) is not None
         for limits in ledger.get("bounds", [])
@@ -139,7 +123,7 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
     for item in savings:
         if item.is_spool:
             valves[item.motion] = min(item.used, valves.get(item.motion, math.inf))
-    return [Saving(s.case, s.ledger, s.limits, valves.get(s.motion)) for s in savings]
+    return [replace(saving, reference=valves.get(saving.motion)) for saving in savings]
 
 
 def saved_caption(rig: Rig, savings: Sequence[Saving], controller: str) -> str:

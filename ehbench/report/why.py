@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -55,8 +56,8 @@ def named_result(run: Saved, name: str) -> NamedResult:
             near.append(result)
     exact = [item for item in near if _pieces(item.path)[-len(required) :] == required] or near
     # a parameter's value comes before the values of single logs
-    depth = min((len(_pieces(item.path)) for item in exact), default=0)
-    short = [item for item in exact if len(_pieces(item.path)) == depth]
+    depths = [len(_pieces(item.path)) for item in exact]
+    short = [item for item, depth in zip(exact, depths, strict=True) if depth == min(depths)]
     if len(short) == 1:
         return short[0]
     if near:
@@ -142,14 +143,11 @@ class Origin:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for scripts, numbers in SI."""
+        number = {key: item for key, item in vars(self.result).items() if key != "path"}
         return {
             "run": self.run,
             "name": self.result.path,
-            "file": self.result.file,
-            "value": self.result.value,
-            "unit": self.result.unit,
-            "interval": self.result.interval,
-            "about": self.result.about,
+            **number,
             "method": self.method,
             "windows": self.windows,
             "inputs": [source.as_json() for source in self.sources],
@@ -225,7 +223,7 @@ def origin(name: str, folder: Path) -> Origin:
         windows=windows,
         sources=tuple(traced.sources),
         recipe=_recipe_line(traced.recipe, result),
-        rig=None if rig is None or not _in_rig(traced.run, result) else _rig_line(rig, result),
+        rig=_rig_line(traced.run, rig, result),
         changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
     )
 
@@ -252,11 +250,9 @@ def _value_text(run: Saved, result: NamedResult) -> str:
         return str(result.value).lower()
     values, unit = [result.value, *(result.interval or ())], result.unit
     if unit and row_of(result.path).unit == unit and run.has_rig:
-        try:
+        with suppress(EhbenchError):  # in SI without a rig that can be read
             values = [shown(run.rig, result.path, value) for value in values]
             unit = unit_of(run.rig, result.path)
-        except EhbenchError:
-            pass  # in SI without a rig that can be read
     value, *ends = values
     text = estimate(value, *ends) if ends else number(value)
     text = " ".join(part for part in (text, pretty(unit)) if part)
@@ -308,20 +304,16 @@ def _recipe_line(recipe: Source, result: NamedResult) -> TextLine | None:
     return None if line is None else TextLine(recipe.name, line, rows[line - 1].strip())
 
 
-def _in_rig(run: Saved, result: NamedResult) -> bool:
-    """Whether a number is a parameter of the rig, not one of a run that only ends like it."""
-    try:
-        return not run.has_rig or result.path in run.rig.parameters()
-    except EhbenchError:
-        return True  # a rig that cannot be read says nothing
-
-
-def _rig_line(source: Source, result: NamedResult) -> TextLine | None:
-    """The line of the rig file that has the parameter, with the source it names."""
-    place = source.place
+def _rig_line(run: Saved, source: Source | None, result: NamedResult) -> TextLine | None:
+    """The line of the rig file that has the parameter, with the source it names; none of a number
+    of the run that only ends like one."""
+    place = None if source is None else source.place
     place = place / "rig.toml" if place is not None and place.is_dir() else place
-    if place is None or not place.is_file():
+    if source is None or place is None or not place.is_file():
         return None
+    with suppress(EhbenchError):  # a rig that cannot be read says nothing
+        if run.has_rig and result.path not in run.rig.parameters():
+            return None
     try:
         table, text = read_toml(place)
     except EhbenchError:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,6 @@ from ehbench.sampling.design import Design
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.measures import row_of
 from ehbench.vocabulary import Quantity, from_si
-from ehbench.vocabulary.text import quoted
 
 
 @dataclass(frozen=True)
@@ -58,11 +55,10 @@ class MeasureColumn:
 
 @dataclass(frozen=True)
 class Rows:
-    """The table in memory: ``inputs``, shape (samples, inputs), texts by their place in ``texts``;
-    ``measures`` as shown, shape (samples, measures)."""
+    """The table in memory: ``inputs``, shape (samples, inputs), a text by the number of its first
+    place among those of its column; ``measures`` as shown, shape (samples, measures)."""
 
     inputs: np.ndarray
-    texts: tuple[tuple[str, ...], ...]
     measures: np.ndarray
     codes: np.ndarray
     status: tuple[str, ...]
@@ -79,64 +75,27 @@ def write_tables(
 ) -> Rows:
     """Write ``samples.csv``, with pyarrow ``samples.parquet`` as well, of every sample of a
     journal: its inputs by the design, then its measures. The table also comes back."""
-    kinds = [(column.head, "text" if column.is_text else "float") for column in design.columns]
-    front = [("sample", "int"), ("hash", "text"), ("code", "int"), ("status", "text")]
-    columns = [
-        *front,
-        *kinds,
-        *((measure.head, "float") for measure in measures),
-        ("message", "text"),
-    ]
-    size = design.size
-    inputs = np.full((size, len(design.columns)), np.nan)
-    numbers = np.full((size, len(measures)), np.nan)
-    codes, status = np.zeros(size, np.int16), []
-    texts: list[dict[str, int]] = [{} for _ in design.columns]
-    with (
-        (folder / "samples.csv").open("w", encoding="utf-8", errors="surrogateescape") as csv,
-        _parquet(folder / "samples.parquet", columns) as add,
-    ):
-        csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
-        samples = journal.samples()
-        while rows := list(islice(samples, 4096)):
-            lines = []
-            for item in rows:
-                digest = hash_of(key, design.settings(item.index))
-                values = [float(c.shown(v)) for c, v in zip(measures, item.measures, strict=True)]
-                cells = [*design.cells(design.inputs(item.index)), *values, item.message]
-                lines.append([item.index, digest, item.code, item.status, *cells])
-            add([*zip(*lines, strict=True)])
-            csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
-            for line in lines:
-                index, last = line[0], 4 + len(kinds)
-                codes[index], numbers[index] = line[2], line[last:-1]
-                status.append(line[3])
-                for at, cell in enumerate(line[4:last]):
-                    is_text = isinstance(cell, str)
-                    inputs[index, at] = (
-                        texts[at].setdefault(cell, len(texts[at])) if is_text else cell
-                    )
-    return Rows(inputs, tuple(tuple(text) for text in texts), numbers, codes, tuple(status))
+    import pandas as pd
 
-
-@contextmanager
-def _parquet(
-    path: Path, columns: Sequence[tuple[str, str]]
-) -> Iterator[Callable[[Sequence[Sequence]], None]]:
-    """Takes stretches of rows, column by column, as a Parquet file; without pyarrow, none."""
-    try:
+    rows = []
+    for item in journal.samples():
+        digest = hash_of(key, design.settings(item.index))
+        values = (float(c.shown(v)) for c, v in zip(measures, item.measures, strict=True))
+        front = (item.index, digest, item.code, item.status)
+        rows.append((*front, *design.cells(design.inputs(item.index)), *values, item.message))
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    heads = [column.head for column in (*design.columns, *measures)]
+    names = ["sample", "hash", "code", "status", *heads, "message"]
+    table = pd.DataFrame(dict(enumerate(columns)))
+    table.to_csv(folder / "samples.csv", header=names, index=False, errors="surrogateescape")
+    with suppress(ImportError):
         import pyarrow
-        from pyarrow.parquet import ParquetWriter
-    except ImportError:
-        yield lambda columns: None
-        return
-    kinds = {"int": pyarrow.int64(), "float": pyarrow.float64(), "text": pyarrow.string()}
-    schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns])
-    with ParquetWriter(path, schema) as writer:
-        yield lambda columns: writer.write(pyarrow.table(list(columns), schema=schema))
+        from pyarrow.parquet import write_table
 
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else repr(value)
-    return quoted(str(value))
+        with (folder / "samples.parquet").open("wb") as file:  # its own names are UTF-8
+            write_table(pyarrow.table(columns, names=names), file)
+    last = 4 + len(design.columns)
+    inputs = [pd.factorize(y)[0] if y.dtype.kind == "U" else y for y in columns[4:last]]
+    nothing = np.empty((len(rows), 0))
+    x, y = (np.column_stack([nothing, *part]) for part in (inputs, columns[last:-1]))
+    return Rows(x, y, columns[2], tuple(columns[3].tolist()))

@@ -167,7 +167,7 @@ def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | 
     for c in prepared.fit.search:
         row = rows[c.name]
         ends = row["interval"] and (float(row["interval"][0]), float(row["interval"][1]))
-        fitted[c.name] = Known(c.name, float(row["value"]), ends, row["status"])
+        fitted[c.name] = Known(c.name, float(row["value"]), ends)
     known = list(fitted.values())
     name = name or widest(known, prepared.fit.search)
     proposals = propose(prepared.fit, known, name, progress)

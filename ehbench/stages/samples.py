@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -253,7 +252,7 @@ class Sampler:
     ) -> tuple[int, str, tuple[float, ...]]:
         """(exit code, message, measures) of a sample."""
         measures = self.plan.study.measures
-        with self._folder(settings) as folder:
+        with TemporaryDirectory(dir=self.scratch) as folder:
             files = self.files(settings, Path(folder))
             recipe = files.base.changed(files.changes[""], files.folder)
             stage = cast(Stage, stage_of(recipe))  # others are refused
@@ -280,14 +279,6 @@ class Sampler:
             roots = roots_of(out, {**work.facts, "code": work.code})
         values = tuple(_measured(item, roots, settings) for item in measures)
         return work.code, "; ".join(work.reasons), values
-
-    def _folder(self, settings: Mapping[str, Any]) -> AbstractContextManager[Path | str]:
-        """A folder for a sample's files; a single trial without a bench file has none."""
-        files = self.files(settings, self.scratch)
-        alone = set(files.changes) == {""} and not files.changes[""].bench
-        if isinstance(files.base.model, TrialRecipe) and alone:
-            return nullcontext(self.scratch)
-        return TemporaryDirectory(dir=self.scratch)
 
     def _watch(self, began: float) -> Progress | None:
         """Progress that ends a sample beyond its limit; not the first, which compiles."""

@@ -21,11 +21,10 @@ from ehbench.control.functions import (
     pack_rules,
     path_drop,
     planned,
-    supply_draw,
 )
 from ehbench.control.measured import Pressures
 from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
-from ehbench.control.valve_level import top_speed
+from ehbench.control.valve_level import pump_speed, top_speed
 from ehbench.parts.supply import sensed
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
@@ -147,7 +146,7 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
     circuit, model = design.circuit, design.model
     line, p_tank = model.plant.supply, model.plant.tank_pressure
     # a load-sensing pump rises from its standby as far as the fed chamber asks for
-    p_supply, limit = float(sensed(p_tank, line)), float(line.flow_limit)
+    p_supply = float(sensed(p_tank, line))
     start = model.trim(design.q, p_tank + low_pressure)
     p_head, p_rod = (
         float(start[model.layout.state(name, design.index)]) for name in ("p_head", "p_rod")
@@ -172,8 +171,7 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
             rules = pack_rules(area_rod, float(line.pressure), low_pressure)
             p = planned(function, force, p, circuit, rules)
         speed = top_speed(function, p, circuit)
-    draw = supply_draw(function, circuit)
-    return float(min(speed, limit / draw) if draw > 0.0 else speed)
+    return float(min(speed, pump_speed(function, circuit)))
 
 
 def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_tank: float) -> float:

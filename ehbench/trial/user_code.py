@@ -13,7 +13,7 @@ import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from fnmatch import filter as filter_names
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -28,7 +28,7 @@ from ehbench.runtime.compiled import bound
 from ehbench.runtime.interrupts import Terminated
 from ehbench.trial.code import code_file
 from ehbench.trial.controllers import Design, controller_of, quantities
-from ehbench.vocabulary import VOCABULARY, Message, Quantity, message, quantity, setting, shortened
+from ehbench.vocabulary import VOCABULARY, Quantity, message, quantity, setting, shortened
 from ehbench.vocabulary.errors import InputError
 
 NOTE = "note."  # what the channel of a note begins with: no machine measures such a one
@@ -154,15 +154,11 @@ class UserCode:
             patterns = self.code.names_of(self.object, "channels")
             known = ", ".join(self.names)
             if not patterns:
-                raise self.code.error(message("trial.no_observed", label=self.label, known=known))
+                raise self.code.misuse("trial.no_observed", known=known)
             for pattern in patterns:
-                if not any(fnmatchcase(name, pattern) for name in self.names):
-                    raise self.code.error(
-                        message("trial.unmeasured", label=self.label, pattern=pattern, known=known)
-                    )
-            observed = [
-                any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names
-            ]
+                if not filter_names(self.names, pattern):
+                    raise self.code.misuse("trial.unmeasured", pattern=pattern, known=known)
+            observed = {name for pattern in patterns for name in filter_names(self.names, pattern)}
             notes = self.code.names_of(self.object, "notes") or ()
         self.noted = [self._note_row(name, notes) for name in notes]
         self.channels = (
@@ -178,7 +174,7 @@ class UserCode:
             name: i for i, name in enumerate(design.valves) if name not in chosen.unused
         }
         self._unused = [design.valves.index(name) for name in chosen.unused]
-        self._hidden = [i for i, seen in enumerate(observed) if not seen]
+        self._hidden = [i for i, name in enumerate(self.names) if name not in observed]
         self._in_range = bound(within, self.low, self.low, self.high)
 
     @property
@@ -209,9 +205,8 @@ class UserCode:
             command[i] = volts
         if not self._in_range(command, self.low, self.high):
             if not np.isfinite(command).all():
-                given = shortened(answer, 80)
-                raise self.code.error(
-                    message("trial.command_not_finite", label=self.label, answer=given, t=t)
+                raise self.code.misuse(
+                    "trial.command_not_finite", answer=shortened(answer, 80), t=t
                 )
             self.beyond += 1
             np.clip(command, self.low, self.high, out=command)
@@ -222,13 +217,13 @@ class UserCode:
             try:
                 notes[:] = self.code.call(".note", numbers, t=t, passing=unlike)
             except unlike:
-                text = message("trial.note_count", label=self.label, count=notes.size)
-                raise self.code.error(text) from None
+                raise self.code.misuse("trial.note_count", count=notes.size) from None
             for (name, quantity_row), value in zip(self.noted, notes.tolist(), strict=True):
                 if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
                     fields = {key: getattr(quantity_row, key) for key in ("unit", "lower", "upper")}
-                    fields |= {"label": self.label, "name": name, "value": value, "t": t}
-                    raise self.code.error(message("trial.note_range", **fields))
+                    raise self.code.misuse(
+                        "trial.note_range", name=name, value=value, t=t, **fields
+                    )
 
     def _take(self, answer: Any, t: float, command: np.ndarray) -> None:
         """Write an answer of the class, a dict by valve or a row of volts, into ``command``."""
@@ -236,15 +231,14 @@ class UserCode:
         try:
             unknown = self.code.call("'s answer", self._write, answer, command, t=t, passing=unlike)
         except unlike:
-            names, fields = self.design.valves, {"label": self.label, "t": t}
-            fields |= {"count": len(names), "valves": ", ".join(names)}
-            fields["answer"] = shortened(answer, 80)
-            raise self.code.error(message("trial.no_commands", **fields)) from None
+            valves, fields = self.design.valves, {"t": t, "answer": shortened(answer, 80)}
+            fields |= {"count": len(valves), "valves": ", ".join(valves)}
+            raise self.code.misuse("trial.no_commands", **fields) from None
         for name in unknown:
             what = "unused by the recipe" if name in self.design.valves else "no valve"
-            fields = {"label": self.label, "name": shortened(name, 60), "what": what}
+            fields = {"name": shortened(name, 60), "what": what}
             valves = ", ".join(self._commanded)
-            raise self.code.error(message("trial.unknown_command", valves=valves, **fields))
+            raise self.code.misuse("trial.unknown_command", valves=valves, **fields)
 
     def _write(self, answer: Any, command: np.ndarray) -> tuple[Any, ...]:
         """The first name in an answer that is none of a valve it may command, if there is one."""
@@ -269,17 +263,14 @@ class UserCode:
     def _note_row(self, name: str, notes: Sequence[str]) -> tuple[str, Quantity]:
         """A note's name with its row of the vocabulary."""
         if not _NOTE_NAME.fullmatch(name):
-            short = shortened(name, 60)
-            raise self.code.error(message("trial.note_name", label=self.label, name=short))
+            raise self.code.misuse("trial.note_name", name=shortened(name, 60))
         if notes.count(name) > 1:
-            raise self.code.error(message("trial.note_twice", label=self.label, name=name))
+            raise self.code.misuse("trial.note_twice", name=name)
         try:
             return name, quantity(name)
         except KeyError as error:
             problem = error.args[0]
-            raise self.code.error(
-                message("trial.note_quantity", label=self.label, name=name, problem=problem)
-            ) from None
+            raise self.code.misuse("trial.note_quantity", name=name, problem=problem) from None
 
 
 class _Code:
@@ -293,7 +284,7 @@ class _Code:
         controller = self.call("()", partial(self._load(), **gains))
         for method in ("start", "step"):
             if not callable(self.call(f".{method}", getattr, controller, method, None)):
-                raise self.error(message("trial.no_method", label=self.label, method=method))
+                raise self.misuse("trial.no_method", method=method)
         return controller
 
     def names_of(self, controller: Any, attribute: str) -> tuple[str, ...] | None:
@@ -308,10 +299,7 @@ class _Code:
         names = self.call(f".{attribute}", listed)
         for name in names or ():
             if type(name) is not str:
-                value = shortened(name, 60)
-                raise self.error(
-                    message("trial.not_text", label=self.label, attribute=attribute, value=value)
-                )
+                raise self.misuse("trial.not_text", attribute=attribute, value=shortened(name, 60))
         return names
 
     def _load(self) -> Callable[..., Any]:
@@ -330,14 +318,9 @@ class _Code:
         self.call("", exec, code, module.__dict__)
         controller = getattr(module, self.label, None)
         if not isinstance(controller, type):
-            there = [
-                name
-                for name, item in vars(module).items()
-                if isinstance(item, type) and item.__module__ == module.__name__
-            ]
-            known = ", ".join(there) or "none"
-            problem = message("trial.no_class", label=self.label, known=known)
-            raise InputError(problem, file=self.file)
+            types_here = ((n, x) for n, x in vars(module).items() if isinstance(x, type))
+            there = [name for name, item in types_here if item.__module__ == module.__name__]
+            raise self.misuse("trial.no_class", known=", ".join(there) or "none")
         return controller
 
     def call(
@@ -358,18 +341,11 @@ class _Code:
             raise self.raised(what, error, t) from error
 
     def raised(self, what: str, error: BaseException, t: float | None = None) -> InputError:
-        frames = [
-            f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.file)
-        ]
-        line, text = (
-            (frames[-1].lineno, f"in the line: {frames[-1].line}") if frames else (None, "")
-        )
-        where = {
-            "label": self.label,
-            "place": what,
-            "time": "" if t is None else f" at t = {t:.4g} s",
-            "line": text,
-        }
+        frames = traceback.extract_tb(error.__traceback__)
+        last = next((f for f in reversed(frames) if f.filename == str(self.file)), None)
+        where = {"label": self.label, "place": what}
+        where["time"] = "" if t is None else f" at t = {t:.4g} s"
+        where["line"] = "" if last is None else f"in the line: {last.line}"
         if isinstance(error, Exit):
             problem = message("trial.code_exits", **where)
         elif isinstance(error, Overdue):
@@ -381,10 +357,10 @@ class _Code:
                 text = "no text"
             name = type(error).__name__
             problem = message("trial.code_raised", error=name, problem=text, **where)
-        return InputError(problem, file=self.file, line=line)
+        return InputError(problem, file=self.file, line=None if last is None else last.lineno)
 
-    def error(self, problem: Message) -> InputError:
-        return InputError(problem, file=self.file)
+    def misuse(self, key: str, **fields: Any) -> InputError:
+        return InputError(message(key, label=self.label, **fields), file=self.file)
 
 
 def _gain(recipe: TrialRecipe, name: str, raw: Any) -> Any:

@@ -21,11 +21,10 @@ from ehbench.control.functions import (
     Circuit,
     coupled,
     path_drop,
-    supply_draw,
     widest,
 )
 from ehbench.control.measured import Pressures
-from ehbench.control.valve_level import top_speed
+from ehbench.control.valve_level import pump_speed, top_speed
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
@@ -393,14 +392,13 @@ class _Motion:
         settled = self.settle(v)
         return bool(self.troubles(v, settled, self.paths(v, settled)))
 
-    def full_speed(self) -> float:
+    def largest_speed(self) -> float:
         """The largest speed that valves and pump carry, ≥ 0 [m/s]."""
         way, rest = DIRECTION[self.function], self.settle(0.0)
         pressures = self.at_ports(rest.p_head, rest.p_rod)
         top = top_speed(self.function, pressures, self.circuit)
-        drawn = supply_draw(self.function, self.circuit)
-        if drawn > 0 and not self.railed(pressures):
-            top = min(top, self.model.plant.supply.flow_limit / drawn)
+        if not self.railed(pressures):
+            top = min(top, pump_speed(self.function, self.circuit))
         if not self.impossible(way * top):
             return top
         low = 0.0
@@ -434,7 +432,7 @@ def operating_point(
     _check(model, circuit, function)
     motion = _Motion(model, circuit, function, here, index, aim)
     row, way = motion.row, DIRECTION[function]
-    speed = motion.full_speed() * aim.share if aim.share is not None else aim.speed
+    speed = motion.largest_speed() * aim.share if aim.share is not None else aim.speed
     v = way * float(speed)
     settled = motion.settle(v)
     paths = motion.paths(v, settled)

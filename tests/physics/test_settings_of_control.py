@@ -782,8 +782,9 @@ def top_speed():
     """The largest speed that is found where 0.3 of the most is possible."""
     motion: Any = Stub(function=1, settle=lambda _: Stub(p_head=0.0, p_rod=0.0), circuit=None)
     motion.at_ports, motion.impossible = lambda *_: None, lambda v: abs(v) > 0.3
-    with answers(operating_point, top_speed=1.0, supply_draw=0.0):
-        return round(operating_point._Motion.full_speed(motion), 9)
+    motion.railed = lambda _: False
+    with answers(operating_point, top_speed=1.0, pump_speed=math.inf):
+        return round(operating_point._Motion.largest_speed(motion), 9)
 
 
 def drawn_points():

@@ -1442,11 +1442,10 @@ def test_full_speed_is_what_valves_pump_and_pressures_carry(limit, rail, top, mo
         settle=lambda v: Stub(p_head=0.0, p_rod=0.0),
         at_ports=lambda *at: at,
         railed=lambda at: rail > 0.0,
-        model=Stub(plant=Stub(supply=Stub(flow_limit=limit))),
         impossible=lambda v: v > most,
     )
-    with answers(steady, top_speed=0.8, supply_draw=2.0):
-        found = steady._Motion.full_speed(motion)
+    with answers(steady, top_speed=0.8, pump_speed=limit / 2.0):
+        found = steady._Motion.largest_speed(motion)
     within = 0.8 * 2.0**-steady.POINT.halvings
     assert found == top if top < most else most - within <= found <= most
 

@@ -25,14 +25,16 @@ ENTRIES = {
 
 
 def _uses() -> list[tuple[str, str, set[str] | None]]:
-    """(place, key, names of fields or None where they are unpacked) of each call of `message`."""
-    uses = []
+    """(place, key, names of fields or None where they are unpacked) of each call of `message`, and
+    of those of a ``misuse`` by its key, which has a label too."""
+    uses, names_of = [], {"message": set(), "misuse": {"label"}}
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "message"):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+            if (called := called.rpartition(".")[2]) not in names_of:
                 continue
             names = [keyword.arg for keyword in node.keywords]
-            fields = None if None in names else {name for name in names if name}
+            fields = None if None in names else {*names} | names_of[called]
             place = f"{path.relative_to(PACKAGE)}:{node.lineno}"
             keys = [n for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant)]
             uses += [(place, str(key.value), fields) for key in keys if key.value in ENTRIES]

@@ -6,7 +6,6 @@ leaves a column undecided."""
 
 import re
 import tomllib
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from ehbench.vocabulary import VOCABULARY, from_si, message, setting, to_si
 from ehbench.vocabulary.units import is_of, is_share, named_unit
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
-CERTAIN, LIKELY, UNDECIDED = "certain", "likely", "undecided"
+CERTAIN, LIKELY, UNDECIDED = "certain", "likely", "undecided"  # of two the later is less certain
 DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
 CURRENTS = {"mA", "A"}
 # of valve drivers, in their unit
@@ -105,14 +104,7 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
                 note = message("app.out_of_range", unit=guess.unit)
                 guess = replace(guess, certainty=UNDECIDED, remark=note)
         results[name] = guess
-    rank = {CERTAIN: 2, LIKELY: 1, UNDECIDED: 0}
-    best = Counter((guess.channel, rank[guess.certainty]) for guess in results.values())
-    for name, guess in results.items():
-        here = rank[guess.certainty]
-        above = any(best[guess.channel, more] for more in range(here + 1, 3))
-        if guess.sure and guess.channel != "t" and (above or best[guess.channel, here] > 1):
-            twice = message("app.as_well", channel=guess.channel)
-            results[name] = replace(guess, certainty=UNDECIDED, remark=twice)
+    _without_rivals(results)
     for index, table in enumerate(source.tables):
         times = [name for name, at in source.names().items() if at[0] == index]
         for name, after in zip(times, times[1:]):  # two side by side: the nearer is the time
@@ -120,6 +112,19 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
                 note = message("app.time_known")
                 results[name] = replace(results[name], certainty=UNDECIDED, remark=note)
     return results
+
+
+def _without_rivals(results: dict[str, Guess]) -> None:
+    """Leave undecided what another column is at least as certainly."""
+    every = [(guess.channel, guess.drop, guess.certainty) for guess in results.values()]
+    for name, guess in results.items():
+        of = guess.channel, guess.drop
+        rivals = sum(
+            of == (channel, drop) and level <= guess.certainty for channel, drop, level in every
+        )
+        if guess.sure and guess.channel != "t" and rivals > 1:
+            note = message("app.as_well", channel=guess.channel)
+            results[name] = replace(guess, certainty=UNDECIDED, remark=note)
 
 
 def _guess(name: str, column: SourceColumn, table: SourceTable, rig: Rig | None) -> Guess:
@@ -172,10 +177,7 @@ def _placed(
     else:
         cylinder, known, where = _cylinder(words, rig)
         place = f"{cylinder}.{channel}"
-        if UNDECIDED in (certainty, known):
-            certainty = UNDECIDED
-        elif certainty == CERTAIN:
-            certainty = known
+        certainty = max(certainty, known)
     if not unit:
         return Guess(place, "", UNDECIDED, message("app.which_unit"), why=(*why, *where))
     remark, offset = "", ""
@@ -347,7 +349,7 @@ def command_guess(unit: str, words: set[str], known: np.ndarray, rig: Rig | None
     if not spoken:
         certainty = UNDECIDED
     elif not words & WORDS["commanded"] or is_opening:
-        certainty = LIKELY if certainty == CERTAIN else certainty
+        certainty = max(certainty, LIKELY)
     if unit and is_of(unit, VOCABULARY["command"]):
         remark = "" if certainty == CERTAIN else remark
         return Guess(channel, unit, certainty, remark, why=why)
@@ -356,8 +358,8 @@ def command_guess(unit: str, words: set[str], known: np.ndarray, rig: Rig | None
         return Guess(channel, unit, UNDECIDED, note, why=why)
     first, last = _span_of(unit, known, low)
     ends = (f"{first:g} {unit}", f"{last:g} {unit}", f"{low:g} V", f"{high:g} V")
-    certainty = LIKELY if certainty == CERTAIN else certainty
-    return Guess(channel, unit, certainty, message("app.range_guessed"), ends, why=why)
+    note = message("app.range_guessed")
+    return Guess(channel, unit, max(certainty, LIKELY), note, ends, why=why)
 
 
 def _span_of(unit: str, known: np.ndarray, low: float) -> tuple[float, float]:
@@ -398,32 +400,26 @@ _SIDES = ("upstream_pressure", "downstream_pressure")
 
 def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
     """A guess for each column by name; what several may be, none of them is for sure."""
-    table, results = source.tables[0], {}
-    for name, (_, j) in source.names().items():
-        results[name] = _reading_guess(name, table.columns[j], rig)
-    given = [guess.channel for guess in results.values() if guess.sure]
-    if given.count("pressure_drop") == 0:
-        sides = [side in given for side in _SIDES]
-        for name, guess in results.items():  # alone it is the drop; a side needs the other
-            if guess.channel == "pressure" and any(sides):
-                note = message("app.which_side")
-                results[name] = Guess("pressure_drop", guess.unit, UNDECIDED, note)
-            elif guess.channel == "pressure":
-                results[name] = Guess("pressure_drop", guess.unit, CERTAIN)
-            elif guess.channel in _SIDES and not all(sides):
-                note = message("app.needs_both_sides")
-                results[name] = Guess(guess.channel, guess.unit, UNDECIDED, note)
-        given = [guess.channel for guess in results.values() if guess.sure]
+    table, names = source.tables[0], source.names()
+    results = {name: _reading_guess(name, table.columns[j], rig) for name, (_, j) in names.items()}
+
+    def given() -> set[str]:
+        return {guess.channel for guess in results.values() if guess.sure}
+
+    sides = given() & {*_SIDES}
+    for name, guess in results.items() if "pressure_drop" not in given() else ():
+        # alone it is the drop; a side needs the other
+        if guess.channel == "pressure":
+            level, note = (UNDECIDED, message("app.which_side")) if sides else (CERTAIN, "")
+            results[name] = Guess("pressure_drop", guess.unit, level, note)
+        elif guess.channel in _SIDES and len(sides) < 2:
+            note = message("app.needs_both_sides")
+            results[name] = replace(guess, certainty=UNDECIDED, remark=note)
     drops = {name: _drop_in(name) for name, guess in results.items() if guess.channel == "flow"}
-    if all(drops.values()) and not {"pressure_drop", *_SIDES} & {*given}:
+    if all(drops.values()) and not {"pressure_drop", *_SIDES} & given():
         for name, drop in drops.items():
             results[name] = replace(results[name], drop=drop)
-    given = [(guess.channel, guess.drop) for guess in results.values() if guess.sure]
-    for name, guess in results.items():
-        if guess.sure and given.count((guess.channel, guess.drop)) > 1:
-            results[name] = Guess(
-                guess.channel, guess.unit, UNDECIDED, message("app.or_another"), guess.ends
-            )
+    _without_rivals(results)
     for name in table.words:
         what = next((item for item in READING_WORDS if words_of(name) & WORDS[item]), "")
         results[name] = Guess(what, "", CERTAIN if what else UNDECIDED, "words")
@@ -443,18 +439,15 @@ def _reading_guess(name: str, column: SourceColumn, rig: Rig | None) -> Guess:
     known = column.values[np.isfinite(column.values)]
     if not known.size:
         return Guess(remark=message("app.no_number_held"))
-    if unit and is_of(unit, VOCABULARY["flow"]):
-        return Guess("flow", unit, CERTAIN)
-    if unit and is_of(unit, VOCABULARY["pressure_drop"]):
-        if words & WORDS["drop"] or column.unit.strip("()[]").lower() in DIFFERENTIAL:
-            return Guess("pressure_drop", unit, CERTAIN)
-        if words & WORDS["upstream"]:
-            return Guess("upstream_pressure", unit, CERTAIN)
-        if words & WORDS["downstream"]:
-            return Guess("downstream_pressure", unit, CERTAIN)
-        return Guess("pressure", unit, UNDECIDED)
-    if unit and is_of(unit, VOCABULARY["temperature"]):
-        return Guess("temperature", unit, CERTAIN)
+    kinds = ("flow", "temperature", "pressure_drop")
+    kind = next((row for row in kinds if unit and is_of(unit, VOCABULARY[row])), "")
+    if kind == "pressure_drop":
+        across = words & WORDS["drop"] or column.unit.strip("()[]").lower() in DIFFERENTIAL
+        side = next((side for side in _SIDES if words & WORDS[side.partition("_")[0]]), "")
+        kind = kind if across else side
+        return Guess(kind or "pressure", unit, CERTAIN if kind else UNDECIDED)
+    if kind:
+        return Guess(kind, unit, CERTAIN)
     if words & WORDS["trial"] and np.all(known == np.round(known)) and known.min() > 0.0:
         return Guess("trial", "", CERTAIN)
     driven = unit in (*CURRENTS, "V", "%")

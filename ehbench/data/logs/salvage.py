@@ -182,18 +182,13 @@ class Salvage:
 
     def _framed(self, opcode: int, start: int, stop: int) -> bool:
         """Whether the inner lengths of a chunk or attachment agree with the record's length."""
+        from mcap.records import Attachment, Chunk
+
         try:
-            if opcode == CHUNK:
-                (name,) = struct.unpack_from("<I", self.data, start + 28)
-                at = start + 32 + name
-                size = struct.unpack_from("<Q", self.data, at)[0]
-                return at + 8 <= stop and at + 8 + size == stop
-            at = start + 16
-            for _ in range(2):
-                at += 4 + struct.unpack_from("<I", self.data, at)[0]
-            return at + 12 + struct.unpack_from("<Q", self.data, at)[0] == stop
-        except struct.error:
+            unpack(Chunk if opcode == CHUNK else Attachment, self.data[start:stop])
+        except self.broken:
             return False
+        return True
 
     def _take(self, opcode: int, start: int, stop: int) -> None:
         """Read one record of the data section; raises what ``broken`` lists when it is damaged."""
@@ -208,8 +203,7 @@ class Salvage:
                 raise ValueError
         elif opcode == ATTACHMENT:
             (crc,) = struct.unpack_from("<I", data, stop - 4)
-            sums = (0, crc32(data[start : stop - 4]))
-            if not self._framed(opcode, start, stop) or crc not in sums:
+            if crc not in (0, crc32(data[start : stop - 4])):
                 raise Unreadable(message("data.attachment_checksum"))
             record = unpack(Attachment, data[start:stop])
             if record.name == FACTS:
@@ -233,24 +227,20 @@ class Salvage:
             raise ValueError
 
     def _chunk(self, start: int, stop: int) -> None:
-        if not self._framed(CHUNK, start, stop):
-            raise ValueError
-        size, crc, name = struct.unpack_from("<QII", self.data, start + 16)
-        kind = self.data[start + 32 : start + 32 + name]
-        packed = memoryview(self.data)[start + 40 + name : stop]
-        if kind == b"zstd":
-            if self.zstd.frame_content_size(packed) not in (-1, size):
+        from mcap.records import Chunk
+
+        chunk = unpack(Chunk, self.data[start:stop])
+        body, size = chunk.data, chunk.uncompressed_size
+        if chunk.compression == "zstd":
+            if self.zstd.frame_content_size(body) not in (-1, size):
                 raise Unreadable(message("data.chunk_sizes"))
             if size > self._room:
                 raise Unreadable(message("data.chunks_too_large", limit=self._most / 1e6))
             self._room -= size
-            body = self.unpacker.decompress(packed, size)
-        elif kind == b"":
-            body = bytes(packed)
-        else:
-            name = kind.decode(errors="replace")
-            raise Unreadable(message("data.chunk_compression", kind=name))
-        if crc not in (0, crc32(body)):
+            body = self.unpacker.decompress(body, size)
+        elif chunk.compression:
+            raise Unreadable(message("data.chunk_compression", kind=chunk.compression))
+        if chunk.uncompressed_crc not in (0, crc32(body)):
             raise Unreadable(message("data.chunk_checksum"))
         self._body(body)
 

@@ -9,9 +9,9 @@ import struct
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -36,7 +36,7 @@ from ehbench.vocabulary.text import unlike
 if TYPE_CHECKING:
     from typing import Self
 
-    from mcap.records import McapRecord
+    from mcap.records import AttachmentIndex, Channel, ChunkIndex, Schema
 
 # a flipped bit takes one chunk: so much data, or so much time, is in one at most
 CHUNK_SIZE = 64 * 1024  # [bytes], or thrice its schemas where those are large
@@ -50,15 +50,14 @@ _MEDIA = {
 _LATEST = 9.2e9  # s; in ns this is the end of int64
 
 
-@dataclass(frozen=True)
-class _Topic:
+class _Topic(NamedTuple):
     """One topic while writing: its channel id, the columns it takes, its schema and channel
     records, its message layout."""
 
     id: int
     columns: np.ndarray
-    schema: McapRecord
-    channel: McapRecord
+    schema: Schema
+    channel: Channel
     layout: np.dtype
 
 
@@ -101,22 +100,21 @@ class LogWriter:
 
         self.path = Path(path)
         self.channels = tuple(channels)
-        meta, attachments = dict(meta or {}), dict(attachments or {})
+        attachments = dict(attachments or {})
         if FACTS in attachments:
             raise LogError(message("data.attachment_taken", name=FACTS), file=path)
-        self._topics = _topics(self.channels, _groups(self.channels, groups, path))
-        self._prefix = b"".join(
-            pack(record)
-            for topic in self._topics.values()
-            for record in (topic.schema, topic.channel)
-        )
+        groups = {"/rig": self.channels} if groups is None else groups
+        self._topics = _topics(self.channels, groups, path)
+        ids = [topic.id for topic in self._topics.values()]
+        records = [(topic.schema, topic.channel) for topic in self._topics.values()]
+        self._prefix = b"".join(map(pack, chain(*records)))
         self._compress = ZstdCompressor().compress
-        self._crc = self._offset = self._shift = 0
-        self._count = {topic.id: 0 for topic in self._topics.values()}
-        self._last = {topic.id: -np.inf for topic in self._topics.values()}
-        self._indexes: list[McapRecord] = []
-        self._chunks: list[McapRecord] = []
-        self._span: tuple[int, int] | None = None
+        self._crc = self._offset = 0
+        self._begin = -np.inf  # [s] time of the first sample of the chunk
+        self._shift: int | None = None  # [ns] of the time that MCAP has: none of it below zero
+        self._count, self._last = dict.fromkeys(ids, 0), dict.fromkeys(ids, -np.inf)
+        self._attachments: list[AttachmentIndex] = []
+        self._chunks: list[ChunkIndex] = []
         self.cut = False
         self._most = max(CHUNK_SIZE, 3 * len(self._prefix))
         self._new_chunk()
@@ -130,7 +128,7 @@ class LogWriter:
         self._sync = sync
         self._synced = -np.inf
         try:
-            self._head(meta, attachments, losses)
+            self._head(dict(meta or {}), attachments, losses)
             self._maybe_sync()
         except BaseException:
             with suppress(OSError):  # a full disk takes no more of it now either
@@ -144,14 +142,16 @@ class LogWriter:
         from mcap.records import Attachment, AttachmentIndex, Header, Metadata, MetadataIndex
 
         self._write(MAGIC + pack(Header("ros2", "ehbench")))
-        record = Metadata("ehbench", meta)
-        self._indexes.append(MetadataIndex(self._offset, self._write(pack(record)), record.name))
         facts = {"channels": self.channels, "losses": list(losses), "meta": meta}
+        offset = self._offset
+        self._metadata = MetadataIndex(
+            offset, self._write(pack(Metadata("ehbench", meta))), "ehbench"
+        )
         for name, data in {FACTS: json.dumps(facts, indent=1).encode(), **attachments}.items():
             kind = _MEDIA.get(Path(name).suffix, "application/octet-stream")
             offset = self._offset
             length = self._write(pack(Attachment(0, 0, name, kind, data)))
-            self._indexes.append(AttachmentIndex(offset, length, 0, 0, len(data), name, kind))
+            self._attachments.append(AttachmentIndex(offset, length, 0, 0, len(data), name, kind))
 
     def __enter__(self) -> Self:
         return self
@@ -178,88 +178,83 @@ class LogWriter:
             ValueError: the shapes do not match."""
         topics = list(self._topics.values()) if topic is None else [self._topics[topic]]
         t, values = np.asarray(t, dtype=float), np.asarray(values, dtype=float)
+        places = {id: columns for id, columns, *_ in topics}
+        if topic is not None:  # its channels alone
+            places = {topics[0].id: np.arange(topics[0].columns.size)}
         width = len(self.channels) if topic is None else topics[0].columns.size
         if values.shape != (t.size, width):
             raise ValueError(f"values have the shape {values.shape}, not {(t.size, width)}")
         if not t.size:
             return
-        before = max(self._last[each.id] for each in topics)
         if not (np.isfinite(t).all() and np.abs(t).max() < _LATEST):
             raise LogError(message("data.no_usable_time"), file=self.path)
+        before = max(self._last[id] for id in places)
         check_time(t if before == -np.inf else np.concatenate([[before], t]), file=self.path)
-        for each in topics:
-            self._last[each.id] = float(t[-1])
+        self._last |= dict.fromkeys(places, float(t[-1]))
         row = np.dtype([(str(each.id), each.layout) for each in topics])
         done = 0
         while done < t.size:
             if t[done] - self._begin >= CHUNK_TIME:
                 self._finish_chunk()
-            begin = self._begin if self._entries else float(t[done])
-            fit = done + max(1, (self._most - self._size) // row.itemsize)
-            stop = min(fit, int(np.searchsorted(t, begin + CHUNK_TIME)), t.size)
-            stop = max(stop, done + 1)
-            self._begin = begin
-            self._add(topics, row, t[done:stop], values[done:stop], selected=topic is not None)
+            if not self._entries:
+                self._begin = float(t[done])
+            fit = done + (self._most - self._size) // row.itemsize
+            stop = max(min(fit, int(np.searchsorted(t, self._begin + CHUNK_TIME))), done + 1)
+            self._add(row, places, t[done:stop], values[done:stop])
             done = stop
             if self._size + row.itemsize > self._most:
                 self._finish_chunk()
         self._maybe_sync()
 
     def _add(
-        self, topics: list[_Topic], row: np.dtype, t: np.ndarray, values: np.ndarray, selected: bool
+        self, row: np.dtype, places: Mapping[int, np.ndarray], t: np.ndarray, values: np.ndarray
     ) -> None:
+        """Add samples to the chunk, by the columns of each topic's id."""
         stamps = np.rint(t * 1e9).astype(np.int64)
-        if self._span is None:  # MCAP has no time below zero; the field t keeps it
+        if self._shift is None:
             self._shift = max(0, -int(stamps[0]))
         stamps = (stamps + self._shift).clip(0).astype(np.uint64)
-        first, last = int(stamps[0]), int(stamps[-1])
-        before = self._span or (first, last)
-        self._span = min(first, before[0]), max(last, before[1])
-        self._chunk_span = (min(first, self._chunk_span[0]), max(last, self._chunk_span[1]))
         rows = np.zeros(t.size, row)
-        places: Any = row.fields
-        for topic in topics:
-            part, start = rows[str(topic.id)], places[str(topic.id)][1]
-            count = self._count[topic.id]
+        for id, columns in places.items():
+            part, count = rows[str(id)], self._count[id]
             part["opcode"] = MESSAGE
-            part["length"] = topic.layout.itemsize - 9
-            part["channel"] = topic.id
+            part["length"] = part.dtype.itemsize - 9
+            part["channel"] = id
             part["sequence"] = np.arange(count, count + t.size) & 0xFFFFFFFF
             part["log_time"] = part["publish_time"] = stamps
             part["cdr"] = CDR_LITTLE_ENDIAN
             part["data"][:, 0] = t
-            part["data"][:, 1:] = values if selected else values[:, topic.columns]
-            self._count[topic.id] = count + t.size
-            index = np.empty((t.size, 2), "<u8")
-            index[:, 0] = stamps
-            index[:, 1] = self._size + start + row.itemsize * np.arange(t.size)
-            self._entries.setdefault(topic.id, []).append(index.tobytes())
+            part["data"][:, 1:] = values[:, columns]
+            self._count[id] = count + t.size
+            start = self._size + part.ctypes.data - rows.ctypes.data
+            offsets = start + row.itemsize * np.arange(t.size, dtype=np.uint64)
+            entries = np.stack([stamps, offsets.astype(np.uint64)], axis=1)
+            self._entries.setdefault(id, []).append(entries)
         self._body.append(rows.tobytes())
         self._size += rows.nbytes
 
     def _new_chunk(self) -> None:
         self._body: list[bytes] = [self._prefix]
         self._size = len(self._prefix)
-        self._entries: dict[int, list[bytes]] = {}
-        self._chunk_span = (2**64, 0)
-        self._begin = np.inf  # [s] time of its first sample
+        self._entries: dict[int, list[np.ndarray]] = {}  # times [ns] and places, by topic
 
     def _finish_chunk(self) -> None:
         from mcap.records import Chunk, ChunkIndex
 
         if not self._entries:
             return
-        body, (first, last) = b"".join(self._body), self._chunk_span
-        packed = self._compress(body)
-        offset = self._offset
+        each = {id: np.concatenate(parts) for id, parts in self._entries.items()}
+        first = int(min(entries[0, 0] for entries in each.values()))
+        last = int(max(entries[-1, 0] for entries in each.values()))
+        body = b"".join(self._body)
+        packed, offset = self._compress(body), self._offset
         length = self._write(pack(Chunk("zstd", packed, last, first, crc32(body), len(body))))
         indexes, start = {}, self._offset
-        for id, parts in self._entries.items():
-            entries = b"".join(parts)
-            indexes[id] = self._offset
-            self._write(struct.pack("<BQHI", INDEX, 6 + len(entries), id, len(entries)) + entries)
-        ends, size = (last, self._offset - start, indexes, first), len(body)
-        self._chunks.append(ChunkIndex(length, offset, "zstd", len(packed), *ends, size))
+        for id, entries in each.items():
+            indexes[id], size = self._offset, entries.nbytes
+            self._write(struct.pack("<BQHI", INDEX, 6 + size, id, size) + entries.tobytes())
+        ends = (last, self._offset - start, indexes, first)
+        self._chunks.append(ChunkIndex(length, offset, "zstd", len(packed), *ends, len(body)))
         self._new_chunk()
 
     def _maybe_sync(self) -> None:
@@ -283,27 +278,25 @@ class LogWriter:
         try:
             self._finish_chunk()
             self._write(pack(DataEnd(self._crc)))
-            first, last = self._span or (0, 0)
-            kinds = [type(index).__name__ for index in self._indexes]
-            topics = self._topics.values()
+            topics, chunks = self._topics.values(), self._chunks
             statistics = Statistics(
-                kinds.count("AttachmentIndex"),
-                len(topics),
-                {id: n for id, n in self._count.items() if n},
-                len(self._chunks),
-                sum(self._count.values()),
-                last,
-                first,
-                kinds.count("MetadataIndex"),
-                len(topics),
+                attachment_count=len(self._attachments),
+                channel_count=len(topics),
+                channel_message_counts={id: n for id, n in self._count.items() if n},
+                chunk_count=len(chunks),
+                message_count=sum(self._count.values()),
+                message_end_time=max((chunk.message_end_time for chunk in chunks), default=0),
+                message_start_time=min((chunk.message_start_time for chunk in chunks), default=0),
+                metadata_count=1,
+                schema_count=len(topics),
             )
             groups = [
                 [topic.schema for topic in topics],
                 [topic.channel for topic in topics],
                 [statistics],
-                self._chunks,
-                [index for index, kind in zip(self._indexes, kinds) if kind == "AttachmentIndex"],
-                [index for index, kind in zip(self._indexes, kinds) if kind == "MetadataIndex"],
+                chunks,
+                self._attachments,
+                [self._metadata],
             ]
             start, summary, offsets = self._offset, b"", b""
             for packed in (b"".join(map(pack, group)) for group in groups if group):
@@ -355,22 +348,20 @@ def write_log(path: str | Path, record: Record) -> None:
         raise LogError(text, file=path) from error
 
 
-def _groups(
-    channels: Sequence[str], groups: Mapping[str, Sequence[str]] | None, path: str | Path
-) -> dict[str, list[str]]:
-    """Topic → channels, checked: every channel is known and in exactly one topic."""
-    for name in channels:
-        check_known(name, file=path)
-    groups = {"/rig": channels} if groups is None else groups
-    listed = [name for names in groups.values() for name in names]
-    if not listed or sorted(listed) != sorted(set(channels)) or len(listed) != len(channels):
-        raise LogError(message("data.topics_of_channels"), file=path)
-    return {topic: list(names) for topic, names in groups.items()}
+def _topics(
+    channels: Sequence[str], groups: Mapping[str, Sequence[str]], path: str | Path
+) -> dict[str, _Topic]:
+    """Topics by name; every channel is known and in exactly one of them.
 
-
-def _topics(channels: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dict[str, _Topic]:
+    Raises:
+        LogError: it is not."""
     from mcap.records import Channel, Schema
 
+    for name in channels:
+        check_known(name, file=path)
+    listed = sorted(name for names in groups.values() for name in names)
+    if not listed or listed != sorted(set(channels)) or len(listed) != len(channels):
+        raise LogError(message("data.topics_of_channels"), file=path)
     topics, types = {}, set()
     for id, (topic, names) in enumerate(groups.items(), 1):
         word = topic.strip("/").replace("/", ".")
@@ -388,7 +379,7 @@ def _topics(channels: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dic
         metadata = {"ehbench": FORMAT, "offered_qos_profiles": "", **dict(zip(fields, labels))}
         topics[topic] = _Topic(
             id,
-            np.array([channels.index(name) for name in names]),
+            np.array([channels.index(name) for name in names], int),
             Schema(id, text.encode(), "ros2msg", f"ehbench/msg/{kind}"),
             Channel(id, topic, "cdr", metadata, id),
             np.dtype([*MESSAGE_HEAD, ("data", "<f8", (len(fields),))]),
