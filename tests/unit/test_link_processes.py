@@ -1,5 +1,6 @@
 """Targets in processes of their own: responders in C and Python, the served bench, ends killed."""
 
+import errno
 import os
 import shutil
 import signal
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,8 @@ import pytest
 from ehbench.app.linking import moved_to, serve, wire
 from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read_log
-from ehbench.links.can import Frames
-from ehbench.links.layout import WRITERS, Layout, write_files
+from ehbench.links.can import CanLink, Frames
+from ehbench.links.layout import FRAMES, WRITERS, Layout, write_files
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import measure
 from ehbench.links.responder import ALIVE, ARMED, HEADER, REASONS, RUNNING, STOPPED
@@ -282,6 +284,67 @@ def test_a_vector_of_which_a_frame_was_lost_does_not_count(tmp_path):
     assert taken({(1, last), (2, 1), (3, 0)}) == [0, 400]
 
 
+def test_frames_that_are_none_of_the_vector_change_nothing(tmp_path):
+    """Short ones, requests, another's with the same number, a controller's report; and a value
+    that the file gives a word is a number."""
+    can = pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    names, first = (*LAYOUT.up, *HEADER), FRAMES["up"]
+    state = first + names.index("state") // 2
+    dbc.write_text(dbc.read_text() + f'VAL_ {state} up_state 3 "running" ;\n')
+    other, link = (
+        can.Bus("c", interface="virtual"),
+        CanLink("virtual", "c", (names, ("state",)), dbc),
+    )
+    bad = [
+        can.Message(arbitration_id=first, data=b"ab", is_extended_id=False),
+        can.Message(arbitration_id=first, is_remote_frame=True, is_extended_id=False),
+        can.Message(arbitration_id=first, data=bytes(8), is_extended_id=True),
+        can.Message(arbitration_id=first, data=bytes(8), is_error_frame=True, is_extended_id=False),
+    ]
+    numbers = np.arange(len(names)) + 1.0
+    numbers[names.index("state")] = RUNNING
+
+    class Bus(list):
+        send = list.append
+
+    Frames("up", names, dbc).send(sent := Bus(), numbers)
+    with closing(link), other:
+        for message in bad:
+            for frame in (sent[0], message, *sent[1:]):
+                other.send(frame)
+            (came,) = link.receive(1.0)
+            assert came.tolist() == numbers.tolist(), message
+
+
+def test_a_bus_or_network_that_goes_down_loses_packets_and_ends_nothing(tmp_path, monkeypatch):
+    can = pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+
+    def down(*_):
+        raise can.CanOperationError("the network is down")
+
+    with closing(CanLink("virtual", "down", LAYOUT.names("stream"), dbc)) as link:
+        for name in ("send", "recv"):
+            monkeypatch.setattr(link._bus, name, down)
+        link.send(np.zeros(len(HEADER)))
+        assert link.receive(0.01) == []
+
+    class Down:
+        def __getattr__(self, name):
+            if name in ("send", "recv"):
+                raise OSError(errno.ENETUNREACH, "the network is down")
+            return lambda *_: None
+
+    link = UdpLink("127.0.0.1", 9)
+    link.close()
+    link._socket = Down()
+    link.send(np.zeros(len(HEADER)))
+    assert link.receive(0.01) == []
+
+
 def test_a_link_of_headers_alone_sends_and_counts_all_frames(tmp_path):
     """It stands for a trial's link: a target with two valves takes its vectors, and a frame of
     nothing but samples that is lost is a lost sample."""
@@ -331,12 +394,15 @@ def test_a_map_of_registers_scales_numbers(tmp_path):
     [
         ("udp://no.such.host.invalid:1", "links.system"),
         ("can://virtual/x?map=no_such.dbc", "links.system"),
+        ("can://no_such/x?map={dbc}", "links.system"),
         ("labjack://ANY?map=card.toml", "links.card"),
     ],
 )
-def test_a_link_that_cannot_open_is_an_error_of_the_input(url, key):
-    with refused(key, InputError):
-        Address.of(url).link()
+def test_a_link_that_cannot_open_is_an_error_of_the_input(tmp_path, url, key):
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    with refused(key, InputError) as error:
+        Address.of(url.format(dbc=dbc)).link()
+    assert error.value.fields.get("why", "said")
 
 
 def test_a_port_in_use_and_a_card_are_not_served(trial):
