@@ -39,15 +39,24 @@ class Frames:
         self._came: set[int] = set()  # since the last vector
 
     def send(self, bus, numbers: np.ndarray) -> None:
-        """Send a vector; numbers that it lacks are 0."""
+        """Send a vector; numbers that it lacks are 0.
+
+        Raises:
+            InputError: one that its signal cannot hold.
+        """
         import can
+        import cantools
 
         whole = np.zeros(len(self.signals))
         whole[: numbers.size] = numbers
         for number, frame in self.messages.items():
             places = ((s.name, self.signals.get(s.name)) for s in frame.signals)
             values = {name: 0.0 if i is None else whole[i] for name, i in places}
-            data = frame.encode(values)
+            try:
+                data = frame.encode(values)
+            except (cantools.Error, ValueError, OverflowError) as error:
+                problem = message("links.no_room", name=frame.name, why=str(error))
+                raise InputError(problem) from error
             extended = frame.is_extended_frame
             bus.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
 

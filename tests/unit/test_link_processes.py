@@ -1,16 +1,19 @@
 """Targets in processes of their own: responders in C and Python, the served bench, ends killed."""
 
 import errno
+import math
 import os
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -387,6 +390,72 @@ def test_a_map_of_registers_scales_numbers(tmp_path):
     assert again[up.names.index("press.x")] == pytest.approx(-0.12345)
     assert again[up.names.index("press.p_head")] == 7.0e6
     assert np.isnan(again[up.names.index("press.v")])  # no register, so no sensor
+
+
+def test_a_number_that_its_register_or_signal_cannot_hold_is_named(tmp_path):
+    from ehbench.links.modbus import blocks
+
+    pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    entry = '"sequence" = { address = 0, type = "int16" }\n'
+    (tmp_path / "map.toml").write_text(f"[up]\n{entry}[down]\n{entry}")
+    up, _ = blocks(HEADER, HEADER, tmp_path / "map.toml")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    lines = dbc.read_text().replace("32|32@1- (1,0)", "32|16@1- (1,0)").splitlines()
+    dbc.write_text("\n".join(line for line in lines if "down_sequence : 1;" not in line))
+    down = Frames("down", LAYOUT.names("stream")[1], dbc)
+    numbers, bus = np.zeros(len(HEADER)), SimpleNamespace(send=lambda frame: None)
+    for number in (2.0**15, math.nan):
+        numbers[SEQUENCE] = number
+        for encode in (up.encode, lambda numbers: down.send(bus, numbers)):
+            with refused("links.no_room", InputError):
+                encode(numbers)
+
+
+def answers_of(server, *wrong):
+    """What a Modbus link takes of a server in plain sockets that first answers as given."""
+    from ehbench.links.modbus import ModbusLink
+
+    taken, names = [], (HEADER, HEADER)
+    with closing(ModbusLink("127.0.0.1", server.getsockname()[1], names)) as link:
+        for count in range(len(wrong) + 1):
+            taken.append((link.send(np.full(len(HEADER), count + 1.0)), link.receive(0.0))[1])
+    return taken
+
+
+def test_answers_that_are_none_of_a_server_end_nothing():
+    """An exception, too few registers, noise, a connection that breaks; then a sound answer."""
+    pytest.importorskip("pymodbus")
+    short, sound = b"\x17\x04" + bytes(4), b"\x17\x20" + struct.pack(">8f", *range(8))
+    wrong = (b"\x97\x02", short, b"noise", None)
+
+    def serve():
+        left, connection = [*wrong, sound], None
+        while left:
+            connection = connection or server.accept()[0]
+            asked = connection.recv(300)
+            if not asked:
+                connection = connection.close()
+                continue
+            body = left.pop(0)
+            head = asked[:4] + struct.pack(">HB", 1 + len(body or b""), asked[6])
+            if body == b"noise":
+                connection.sendall(bytes(range(40)))
+            elif body is not None:
+                connection.sendall(head + body)
+            if body in (b"noise", None):
+                reset = struct.pack("ii", 1, 0)  # at once, and not in good order
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
+                connection = connection.close()
+        connection.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        taken = answers_of(server, *wrong)
+        thread.join(5.0)
+    assert [[item.size for item in came] for came in taken[:2]] == [[0], [0]]  # each is counted
+    assert taken[2:4] == [[], []] and taken[4][0].tolist() == [*range(8)]
 
 
 @pytest.mark.parametrize(
