@@ -317,6 +317,7 @@ def test_a_target_that_counts_and_measures_nothing_is_stopped(looped):
     keys = {} if looped else OPEN | {"command": (STEP | {"amplitude": "3 V"},)}
     result, machine, item = over_link(trial(**keys), on_sample=freeze, **keys)
     assert machine.reasons[int(result.facts.stop.value)] == "frozen"
+    assert result.facts.after.still is None  # no sensor says
     begins = 0.5 if looped else 0.3  # it moves, and its samples do not change
     assert 0.1 <= result.facts.stop.t - begins < 0.3 and item.state == STOPPED
     _, _, item = over_link(trial("model", **keys), **keys)  # without noise it stands to the bit
