@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -591,6 +592,9 @@ def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says)
     raise typer.Exit(3 if gone else 0)
 
 
+_REPEATED = 30.0  # [s] after which a log that is no terminal hears again how far it is
+
+
 @contextmanager
 def _session(quiet: bool, **settings: Any) -> Iterator[Session]:
     """A session that shows how far it is on stderr, unless quiet."""
@@ -613,13 +617,15 @@ def _session(quiet: bool, **settings: Any) -> Iterator[Session]:
         *columns, console=console, transient=True, disable=not console.is_terminal
     ) as bar:
         tasks: dict[str, TaskID] = {}
+        due: dict[str, float] = {}
 
         def report_progress(what: str, share: float) -> None:
             name = what.split(":")[0]
             if name not in tasks:
                 tasks[name] = bar.add_task(what, total=1.0)
-                if not console.is_terminal:
-                    print(what, file=sys.stderr)
+            if not console.is_terminal and time.monotonic() >= due.get(name, 0.0):
+                print(f"{what}, {100.0 * share:.0f} %" if name in due else what, file=sys.stderr)
+                due[name] = time.monotonic() + _REPEATED
             bar.update(tasks[name], description=what, completed=share)
 
         yield Session(progress=report_progress, **settings)

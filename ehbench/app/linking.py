@@ -123,4 +123,4 @@ def serve(
             with punctual(SERVING, pinned=False):
                 responder.serve(target, address.port, address.host)
     except OSError as error:
-        raise InputError(message("links.system", url=url, why=error.strerror)) from error
+        raise InputError(message("links.system", url=url, why=error.strerror or error)) from error

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +39,24 @@ class Frames:
         self._came: set[int] = set()  # since the last vector
 
     def send(self, bus, numbers: np.ndarray) -> None:
-        """Send a vector; numbers that it lacks are 0."""
+        """Send a vector; numbers that it lacks are 0.
+
+        Raises:
+            InputError: one that its signal cannot hold.
+        """
         import can
+        import cantools
 
         whole = np.zeros(len(self.signals))
         whole[: numbers.size] = numbers
         for number, frame in self.messages.items():
             places = ((s.name, self.signals.get(s.name)) for s in frame.signals)
             values = {name: 0.0 if i is None else whole[i] for name, i in places}
-            data = frame.encode(values)
+            try:
+                data = frame.encode(values)
+            except (cantools.Error, ValueError, OverflowError) as error:
+                problem = message("links.no_room", name=frame.name, why=str(error))
+                raise InputError(problem) from error
             extended = frame.is_extended_frame
             bus.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
 
@@ -54,9 +64,11 @@ class Frames:
         """The vector that a frame completes; None of one of whose frames was lost, as a number of
         the vector before it would pass for one of now."""
         known = self.messages.get(frame.arbitration_id)
-        if known is None:
+        if known is None or len(frame.data) < known.length:
             return None
-        for name, value in known.decode(frame.data).items():
+        if frame.is_error_frame or frame.is_extended_id != known.is_extended_frame:
+            return None  # a controller's report, or another's number
+        for name, value in known.decode(frame.data, decode_choices=False).items():
             if name in self.signals:
                 self._numbers[self.signals[name]] = value
         if frame.arbitration_id in self._came:  # the last frame of the vector before was lost
@@ -69,10 +81,17 @@ class Frames:
 
 
 def open_bus(interface: str, channel: str):
-    """A bus by its interface of python-can and its channel."""
+    """A bus by its interface of python-can and its channel.
+
+    Raises:
+        OSError: there is none.
+    """
     import can
 
-    return can.Bus(interface=interface, channel=channel)
+    try:
+        return can.Bus(interface=interface, channel=channel)
+    except (can.CanError, ValueError) as error:
+        raise OSError(0, str(error)) from error
 
 
 class CanLink:
@@ -90,21 +109,25 @@ class CanLink:
     def __init__(
         self, interface: str, channel: str, names: tuple[Sequence[str], Sequence[str]], path: Path
     ) -> None:
+        import can
+
         self._up, self._down = (Frames(w, n, path) for w, n in zip(FRAMES, names, strict=True))
-        self._bus = open_bus(interface, channel)
+        self._bus, self._error = open_bus(interface, channel), can.CanError
 
     def send(self, numbers: np.ndarray) -> None:
-        """As `Link.send`."""
-        self._down.send(self._bus, numbers)
+        """As `Link.send`; what the bus does not take is lost."""
+        with suppress(self._error):
+            self._down.send(self._bus, numbers)
 
     def receive(self, timeout: float) -> list[np.ndarray]:
         """As `Link.receive`."""
         came, until = [], time.monotonic() + timeout
-        while (frame := self._bus.recv(0.0 if came else max(until - time.monotonic(), 0.0))) or (
-            not came and time.monotonic() < until
-        ):
-            numbers = None if frame is None else self._up.take(frame)
-            came += [] if numbers is None else [numbers]
+        with suppress(self._error):
+            while (
+                frame := self._bus.recv(0.0 if came else max(until - time.monotonic(), 0.0))
+            ) or (not came and time.monotonic() < until):
+                numbers = None if frame is None else self._up.take(frame)
+                came += [] if numbers is None else [numbers]
         return came
 
     def close(self) -> None:

@@ -59,6 +59,10 @@ class LinkSettings:
     jump: float = setting(
         0.1, "s", "of a target's clock beyond its count or the host's clock", "five watchdogs"
     )
+    frozen: float = setting(0.1, "s", "without a sensor that changes by a bit", "ten slow samples")
+    moving: float = setting(
+        0.1, "", "of a command's range within which a machine may stand", "deadbands: 0.05"
+    )
 
 
 LINK = LinkSettings()
@@ -100,7 +104,7 @@ class LinkMachine:
         mode: what goes down.
         name: of the link, for logs."""
 
-    latency, reasons = 0.0, (*REASONS, "clock")
+    latency, reasons = 0.0, (*REASONS, "clock", "frozen")
 
     def __init__(
         self, prepared: Prepared, layout: Layout, link: Link, mode: Mode, name: str
@@ -127,6 +131,7 @@ class LinkMachine:
         self._heard: list[np.ndarray] = []
         self._sent: dict[int, np.ndarray] = {}  # commands, by the number of their packet
         self._halted = False
+        self._last, self._calm, self._since = np.empty(0), np.empty(0), 0.0
 
     def now(self) -> float:
         """Time [s] by the host's clock, or by the virtual one."""
@@ -320,11 +325,26 @@ class LinkMachine:
         if self._wish == RUNNING and state != RUNNING and not starting:
             stopped = (int(self.newest[REASON]) if state >= STOPPING else 0) or DISAGREEMENT
         elif self.rejected["clock"]:
-            stopped = len(REASONS)
+            stopped = self.reasons.index("clock")
         at, count = (float(self.newest[k] - self._epoch[k]) for k in (TIME, SEQUENCE))
+        if self._frozen(values, at):
+            stopped = stopped or self.reasons.index("frozen")
         age = self.now() - self.newest[TIME] - self._offset
         self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)
         return self.sample()
+
+    def _frozen(self, values: np.ndarray, at: float) -> bool:
+        """Whether at ``at`` [s] no sensor has changed for long, although the commands are away from
+        rest, or under a controller from those before: the target counts, and measures nothing."""
+        if self.mode != "stream":
+            return False
+        sample, span = self.sample(), self.commands.highest - self.commands.lowest
+        changed = not np.array_equal(sample, self._last, equal_nan=True)
+        if changed:
+            self._calm = self.commands.rest if self.prepared.loop is None else values
+        if changed or (np.abs(values - self._calm) <= LINK.moving * span).all():
+            self._last, self._since = sample, at
+        return at - self._since > LINK.frozen
 
     def acted_otherwise(self) -> bool:
         """Whether a command acted that lies beyond the last three packets that the target had: one

@@ -12,9 +12,11 @@ import numpy as np
 from ehbench.config.recipe.toml import read_text, table_of, validated
 from ehbench.links.responder import Target
 from ehbench.links.transport import SEQUENCE, VirtualClock, datagram_of
+from ehbench.vocabulary import InputError, message
 from ehbench.vocabulary.fields import FileModel
 
 FORMATS = dict(zip(("float32", "float64", "int16", "uint16", "int32", "uint32"), "fdhHiI"))
+PATIENCE = 0.2  # [s] of a host until a server answers: a trial has long been stopped then
 UP, DOWN, COUNT = 0, 1000, 2000  # where the default map begins; how many there are
 
 
@@ -44,13 +46,21 @@ class Block:
         self.count = max(at + size for at, size in ends) - self.first
 
     def encode(self, numbers: np.ndarray) -> list[int]:
-        """Registers of numbers."""
+        """Registers of numbers.
+
+        Raises:
+            InputError: one that its register cannot hold.
+        """
         data = bytearray(2 * self.count)
         for name, number in zip(self.names, numbers.tolist(), strict=True):
             if (r := self.places.get(name)) is not None:
-                raw = (number - r.offset) / r.scale
-                raw = raw if r.type.startswith("float") else round(raw)
-                struct.pack_into(f">{FORMATS[r.type]}", data, 2 * (r.address - self.first), raw)
+                raw, at = (number - r.offset) / r.scale, 2 * (r.address - self.first)
+                try:
+                    raw = raw if r.type.startswith("float") else round(raw)
+                    struct.pack_into(f">{FORMATS[r.type]}", data, at, raw)
+                except (struct.error, ValueError, OverflowError) as error:
+                    why = f"{number:g} as {r.type} with scale {r.scale:g}"
+                    raise InputError(message("links.no_room", name=name, why=why)) from error
         return list(struct.unpack(f">{self.count}H", data))
 
     def decode(self, registers: Sequence[int]) -> np.ndarray:
@@ -104,7 +114,7 @@ class ModbusLink:
         from pymodbus.client import ModbusTcpClient
 
         self.virtual, (self._up, self._down) = virtual, blocks(*names, path)
-        self._client = ModbusTcpClient(host, port=port, timeout=1.0, retries=0)
+        self._client = ModbusTcpClient(host, port=port, timeout=PATIENCE, retries=0)
         self._last, self._came = -1.0, []
 
     def send(self, numbers: np.ndarray) -> None:
@@ -123,13 +133,15 @@ class ModbusLink:
             if not (self._client.connected or self._client.connect()):
                 return time.sleep(0.01)  # it is not there yet
             answer = getattr(self._client, name)(device_id=1, **keys)
-        except ModbusException:
-            return
-        if not answer.isError():
+        except (ModbusException, OSError):
+            return self._client.close()  # what it still has to say is late
+        numbers = np.empty(0)  # an exception, or registers that were not asked for
+        if not answer.isError() and len(answer.registers) == self._up.count:
             numbers = self._up.decode(answer.registers)
-            if numbers[SEQUENCE] != self._last:
-                self._last = numbers[SEQUENCE]
-                self._came.append(numbers)
+            if numbers[SEQUENCE] == self._last:
+                return
+            self._last = numbers[SEQUENCE]
+        self._came.append(numbers)
 
     def receive(self, timeout: float) -> list[np.ndarray]:
         """As `Link.receive`."""

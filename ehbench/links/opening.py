@@ -116,7 +116,9 @@ class Address:
         except ImportError as error:
             raise InputError(message("links.extra", extra=self.scheme)) from error
         except OSError as error:
-            raise InputError(message("links.system", url=self.url, why=error.strerror)) from error
+            raise InputError(
+                message("links.system", url=self.url, why=error.strerror or error)
+            ) from error
 
 
 def open_machine(prepared: Prepared, url: str) -> Machine:

@@ -55,10 +55,10 @@ class UdpLink:
             raise
 
     def send(self, numbers: np.ndarray) -> None:
-        """As `Link.send`; a target that is not there yet is no error."""
+        """As `Link.send`; a target that is not there, or no longer, is no error."""
         try:
             self._socket.send(numbers.astype("<f8").tobytes())
-        except ConnectionRefusedError:
+        except OSError:
             time.sleep(1e-3)
 
     def receive(self, timeout: float) -> list[np.ndarray]:
@@ -69,7 +69,7 @@ class UdpLink:
             while True:
                 taken.append(vector(self._socket.recv(LARGEST)))
                 self._socket.setblocking(False)
-        except (TimeoutError, BlockingIOError, ConnectionRefusedError):
+        except OSError:  # nothing more, or a network that is down
             return taken
 
     def close(self) -> None:

@@ -368,21 +368,22 @@ def _target(recipe: StudyRecipe, index: int, measures: tuple[MeasureColumn, ...]
 
 def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) -> None:
     """Make every sample that the journal has not."""
-    size, began = prepared.design.size, time.monotonic()
+    size, begun = prepared.design.size, None
     missing = (index for index in range(size) if not journal.done[index])
     tasks = ((index, prepared.design.settings(index)) for index in missing)
     for run, share in _pools(prepared, tasks):
         for samples in run(share):
             journal.add(samples)
             if progress is not None:
-                done = int(journal.done.sum())
-                rate = max(done - journal.taken, 1) / (time.monotonic() - began)
-                seconds = (size - done) / rate
-                units = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
-                long = (item for item in units if seconds >= 2.0 * item[0])
-                length, unit = next(long, (1.0, "s"))
-                left = f"{seconds / length:.0f} {unit}"
-                progress(f"{done} of {size} samples, {left} left", 0.9 * done / size)
+                done, now, left = int(journal.done.sum()), time.monotonic(), ""
+                first, since = begun = begun or (done, now)  # which waited for compilers
+                if done > first:
+                    seconds = (size - done) * (now - since) / (done - first)
+                    units = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
+                    long = (item for item in units if seconds >= 2.0 * item[0])
+                    length, unit = next(long, (1.0, "s"))
+                    left = f", {seconds / length:.0f} {unit} left"
+                progress(f"{done} of {size} samples{left}", 0.9 * done / size)
 
 
 def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Run, Iterator[Task]]]:

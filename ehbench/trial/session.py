@@ -28,12 +28,14 @@ from ehbench.machines.protocol import (
     hidden_of,
     in_real_time,
     packet_of,
+    reason_of,
     stamp_of,
     truth_of,
 )
 from ehbench.machines.rows import (
     AGE,
     LIMITS,
+    MACHINE,
     MISMATCH,
     MONITOR,
     Controls,
@@ -341,6 +343,8 @@ class Session:
         doubting = (LIMITS[MISMATCH], LIMITS[MONITOR])  # one of two positions is wrong
         stop = self.stop
         doubted = stop is not None and stop.limit in doubting and stop.channel.endswith(".x")
+        if stop is not None and stop.limit == LIMITS[MACHINE]:
+            doubted = reason_of(self.machine, int(stop.value)) == "frozen"
         sound = bool(np.isfinite(self.rows.sample[speeds]).all()) and not late and not doubted
         sound &= row > self._halted
         if still and sound:

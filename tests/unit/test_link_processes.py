@@ -1,14 +1,19 @@
 """Targets in processes of their own: responders in C and Python, the served bench, ends killed."""
 
+import errno
+import math
 import os
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +21,8 @@ import pytest
 from ehbench.app.linking import moved_to, serve, wire
 from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read_log
-from ehbench.links.can import Frames
-from ehbench.links.layout import WRITERS, Layout, write_files
+from ehbench.links.can import CanLink, Frames
+from ehbench.links.layout import FRAMES, WRITERS, Layout, write_files
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import measure
 from ehbench.links.responder import ALIVE, ARMED, HEADER, REASONS, RUNNING, STOPPED
@@ -282,6 +287,67 @@ def test_a_vector_of_which_a_frame_was_lost_does_not_count(tmp_path):
     assert taken({(1, last), (2, 1), (3, 0)}) == [0, 400]
 
 
+def test_frames_that_are_none_of_the_vector_change_nothing(tmp_path):
+    """Short ones, requests, another's with the same number, a controller's report; and a value
+    that the file gives a word is a number."""
+    can = pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    names, first = (*LAYOUT.up, *HEADER), FRAMES["up"]
+    state = first + names.index("state") // 2
+    dbc.write_text(dbc.read_text() + f'VAL_ {state} up_state 3 "running" ;\n')
+    other, link = (
+        can.Bus("c", interface="virtual"),
+        CanLink("virtual", "c", (names, ("state",)), dbc),
+    )
+    bad = [
+        can.Message(arbitration_id=first, data=b"ab", is_extended_id=False),
+        can.Message(arbitration_id=first, is_remote_frame=True, is_extended_id=False),
+        can.Message(arbitration_id=first, data=bytes(8), is_extended_id=True),
+        can.Message(arbitration_id=first, data=bytes(8), is_error_frame=True, is_extended_id=False),
+    ]
+    numbers = np.arange(len(names)) + 1.0
+    numbers[names.index("state")] = RUNNING
+
+    class Bus(list):
+        send = list.append
+
+    Frames("up", names, dbc).send(sent := Bus(), numbers)
+    with closing(link), other:
+        for message in bad:
+            for frame in (sent[0], message, *sent[1:]):
+                other.send(frame)
+            (came,) = link.receive(1.0)
+            assert came.tolist() == numbers.tolist(), message
+
+
+def test_a_bus_or_network_that_goes_down_loses_packets_and_ends_nothing(tmp_path, monkeypatch):
+    can = pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+
+    def down(*_):
+        raise can.CanOperationError("the network is down")
+
+    with closing(CanLink("virtual", "down", LAYOUT.names("stream"), dbc)) as link:
+        for name in ("send", "recv"):
+            monkeypatch.setattr(link._bus, name, down)
+        link.send(np.zeros(len(HEADER)))
+        assert link.receive(0.01) == []
+
+    class Down:
+        def __getattr__(self, name):
+            if name in ("send", "recv"):
+                raise OSError(errno.ENETUNREACH, "the network is down")
+            return lambda *_: None
+
+    link = UdpLink("127.0.0.1", 9)
+    link.close()
+    link._socket = Down()
+    link.send(np.zeros(len(HEADER)))
+    assert link.receive(0.01) == []
+
+
 def test_a_link_of_headers_alone_sends_and_counts_all_frames(tmp_path):
     """It stands for a trial's link: a target with two valves takes its vectors, and a frame of
     nothing but samples that is lost is a lost sample."""
@@ -326,17 +392,86 @@ def test_a_map_of_registers_scales_numbers(tmp_path):
     assert np.isnan(again[up.names.index("press.v")])  # no register, so no sensor
 
 
+def test_a_number_that_its_register_or_signal_cannot_hold_is_named(tmp_path):
+    from ehbench.links.modbus import blocks
+
+    pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    entry = '"sequence" = { address = 0, type = "int16" }\n'
+    (tmp_path / "map.toml").write_text(f"[up]\n{entry}[down]\n{entry}")
+    up, _ = blocks(HEADER, HEADER, tmp_path / "map.toml")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    lines = dbc.read_text().replace("32|32@1- (1,0)", "32|16@1- (1,0)").splitlines()
+    dbc.write_text("\n".join(line for line in lines if "down_sequence : 1;" not in line))
+    down = Frames("down", LAYOUT.names("stream")[1], dbc)
+    numbers, bus = np.zeros(len(HEADER)), SimpleNamespace(send=lambda frame: None)
+    for number in (2.0**15, math.nan):
+        numbers[SEQUENCE] = number
+        for encode in (up.encode, lambda numbers: down.send(bus, numbers)):
+            with refused("links.no_room", InputError):
+                encode(numbers)
+
+
+def answers_of(server, *wrong):
+    """What a Modbus link takes of a server in plain sockets that first answers as given."""
+    from ehbench.links.modbus import ModbusLink
+
+    taken, names = [], (HEADER, HEADER)
+    with closing(ModbusLink("127.0.0.1", server.getsockname()[1], names)) as link:
+        for count in range(len(wrong) + 1):
+            taken.append((link.send(np.full(len(HEADER), count + 1.0)), link.receive(0.0))[1])
+    return taken
+
+
+def test_answers_that_are_none_of_a_server_end_nothing():
+    """An exception, too few registers, noise, a connection that breaks; then a sound answer."""
+    pytest.importorskip("pymodbus")
+    short, sound = b"\x17\x04" + bytes(4), b"\x17\x20" + struct.pack(">8f", *range(8))
+    wrong = (b"\x97\x02", short, b"noise", None)
+
+    def serve():
+        left, connection = [*wrong, sound], None
+        while left:
+            connection = connection or server.accept()[0]
+            asked = connection.recv(300)
+            if not asked:
+                connection = connection.close()
+                continue
+            body = left.pop(0)
+            head = asked[:4] + struct.pack(">HB", 1 + len(body or b""), asked[6])
+            if body == b"noise":
+                connection.sendall(bytes(range(40)))
+            elif body is not None:
+                connection.sendall(head + body)
+            if body in (b"noise", None):
+                reset = struct.pack("ii", 1, 0)  # at once, and not in good order
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
+                connection = connection.close()
+        connection.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        taken = answers_of(server, *wrong)
+        thread.join(5.0)
+    assert [[item.size for item in came] for came in taken[:2]] == [[0], [0]]  # each is counted
+    assert taken[2:4] == [[], []] and taken[4][0].tolist() == [*range(8)]
+
+
 @pytest.mark.parametrize(
     ("url", "key"),
     [
         ("udp://no.such.host.invalid:1", "links.system"),
         ("can://virtual/x?map=no_such.dbc", "links.system"),
+        ("can://no_such/x?map={dbc}", "links.system"),
         ("labjack://ANY?map=card.toml", "links.card"),
     ],
 )
-def test_a_link_that_cannot_open_is_an_error_of_the_input(url, key):
-    with refused(key, InputError):
-        Address.of(url).link()
+def test_a_link_that_cannot_open_is_an_error_of_the_input(tmp_path, url, key):
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    with refused(key, InputError) as error:
+        Address.of(url.format(dbc=dbc)).link()
+    assert error.value.fields.get("why", "said")
 
 
 def test_a_port_in_use_and_a_card_are_not_served(trial):

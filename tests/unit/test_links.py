@@ -303,6 +303,27 @@ def test_a_jump_of_the_targets_clock_is_no_reason_of_the_target(samples):
     assert 0.4 <= result.facts.stop.t <= 0.45
 
 
+@pytest.mark.parametrize("looped", [True, False])
+def test_a_target_that_counts_and_measures_nothing_is_stopped(looped):
+    """No limit sees a machine that moves while all its sensors stay as they are."""
+    frozen, places = [], slice(len(HEADER), len(HEADER) + len(LAYOUT.channels))
+
+    def freeze(numbers, machine):
+        if machine.row > 75:
+            frozen.append(numbers[places].copy())
+            numbers[places] = frozen[0]
+        return numbers
+
+    keys = {} if looped else OPEN | {"command": (STEP | {"amplitude": "3 V"},)}
+    result, machine, item = over_link(trial(**keys), on_sample=freeze, **keys)
+    assert machine.reasons[int(result.facts.stop.value)] == "frozen"
+    assert result.facts.after.still is None  # no sensor says
+    begins = 0.5 if looped else 0.3  # it moves, and its samples do not change
+    assert 0.1 <= result.facts.stop.t - begins < 0.3 and item.state == STOPPED
+    _, _, item = over_link(trial("model", **keys), **keys)  # without noise it stands to the bit
+    assert REASONS[item.reason] == "done"
+
+
 @pytest.mark.parametrize(
     ("change", "least"),
     [

@@ -245,6 +245,14 @@ def clock_jumps(seconds):
     return link._take(numbers)
 
 
+def freezes(volts=10.0, seconds=1.0):
+    """Whether samples that stay as they are for so long under a command are a stop."""
+    link = link_of()
+    link.prepared, link.commands = Stub(loop=None), Stub(lowest=-10.0, highest=10.0, rest=0.0)
+    link.channels, link.newest = ("press.x",), np.zeros(len(client.HEADER) + 1)
+    return [link._frozen(np.full(1, volts), at) for at in (0.0, seconds)][1]
+
+
 def drifts():
     """By how much a target's clock may run away in 1000 ticks of 1 ms [ms]."""
     link = link_of()
@@ -485,6 +493,8 @@ ROWS = [
     (LINK, "rate", other_rate, (0.019, 0.021), ["", "links.other_rate"]),
     (LINK, "posture", elsewhere, (0.029, 0.031), ["", "links.stands"]),
     (LINK, "jump", clock_jumps, (0.09, 0.11), [True, False]),
+    (LINK, "frozen", lambda t: freezes(seconds=t), (0.09, 0.11), [False, True]),
+    (LINK, "moving", freezes, (1.9, 2.1), [False, True]),
     (LINK, "supply", without_supply, (0.009, 0.011), ["links.supply", ""]),
     (LINK, "drift", drifts, 0.2),
     (QUALITY, "late", problems, (9, 11), [[], [("links.late", None)]]),

@@ -3,9 +3,11 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from ehbench.app import cli
 from ehbench.report import terminal
 from ehbench.report.blocks import Grid
 from ehbench.runs.rundir import plain
@@ -112,3 +114,14 @@ def test_a_long_table_is_cut_and_says_so():
     short, whole = answer.lines(), answer.lines(whole=True)
     assert short[4:-2] == [str(n) for n in range(24)] and "6 more rows with -v" in short[-2]
     assert whole[4:-1] == [str(n) for n in range(30)]
+
+
+def test_a_log_that_is_no_terminal_hears_each_half_minute_how_far_it_is(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(cli, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with cli._session(quiet=False) as session:
+        assert session.progress is not None
+        for share, now[0] in ((0.0, 0.0), (0.1, 10.0), (0.3, 31.0), (0.4, 40.0), (0.625, 62.0)):
+            session.progress("study: some samples", share)
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 3 and [line[-4:] for line in said[1:]] == ["30 %", "62 %"]
