@@ -59,7 +59,8 @@ class LinkSettings:
     jump: float = setting(
         0.1, "s", "of a target's clock beyond its count or the host's clock", "five watchdogs"
     )
-    frozen: float = setting(0.1, "s", "without a sensor that changes by a bit", "ten slow samples")
+    frozen: float = setting(0.1, "s", "without a sensor that changes by a bit", "valves are late")
+    frozen_samples: float = setting(10.0, "", "the same in samples", "coarse sensors of slow rigs")
     moving: float = setting(
         0.1, "", "of a command's range within which a machine may stand", "deadbands: 0.05"
     )
@@ -344,7 +345,7 @@ class LinkMachine:
             self._calm = self.commands.rest if self.prepared.loop is None else values
         if changed or (np.abs(values - self._calm) <= LINK.moving * span).all():
             self._last, self._since = sample, at
-        return at - self._since > LINK.frozen
+        return at - self._since > max(LINK.frozen, LINK.frozen_samples / self.rate)
 
     def acted_otherwise(self) -> bool:
         """Whether a command acted that lies beyond the last three packets that the target had: one

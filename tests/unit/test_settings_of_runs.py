@@ -245,9 +245,10 @@ def clock_jumps(seconds):
     return link._take(numbers)
 
 
-def freezes(volts=10.0, seconds=1.0):
+def freezes(volts=10.0, seconds=1.0, rate=1000.0):
     """Whether samples that stay as they are for so long under a command are a stop."""
     link = link_of()
+    link.rate = rate
     link.prepared, link.commands = Stub(loop=None), Stub(lowest=-10.0, highest=10.0, rest=0.0)
     link.channels, link.newest = ("press.x",), np.zeros(len(client.HEADER) + 1)
     return [link._frozen(np.full(1, volts), at) for at in (0.0, seconds)][1]
@@ -494,6 +495,7 @@ ROWS = [
     (LINK, "posture", elsewhere, (0.029, 0.031), ["", "links.stands"]),
     (LINK, "jump", clock_jumps, (0.09, 0.11), [True, False]),
     (LINK, "frozen", lambda t: freezes(seconds=t), (0.09, 0.11), [False, True]),
+    (LINK, "frozen_samples", lambda n: freezes(seconds=n, rate=1.0), (9, 11), [False, True]),
     (LINK, "moving", freezes, (1.9, 2.1), [False, True]),
     (LINK, "supply", without_supply, (0.009, 0.011), ["links.supply", ""]),
     (LINK, "drift", drifts, 0.2),
