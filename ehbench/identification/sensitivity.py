@@ -430,7 +430,9 @@ def _confirmed(
         return None
     live = [index[fit.search[i].name] for i in state.live]
     moved = _moved(fit, result, there.state.theta[live])
-    remedy = row.remedy(fit.simulator.rig, (value - here) / unit)
+    found, rig = freed.by_name(there.state.theta), fit.simulator.rig
+    rig = rig.with_values({n: v for n, v in found.items() if n in fit.simulator.known})
+    remedy = row.remedy(rig, (value - here) / unit)
     return row, Lean(c.name, here, value, std, 1.0 - after / before, moved, remedy)
 
 
