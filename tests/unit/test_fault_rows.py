@@ -229,3 +229,20 @@ def test_the_lines_of_a_friction_law_make_a_rig_file(kind, coulomb):
     written = Rig.model_validate(rig.as_toml() | {"cylinder": [owner | lines]}).cylinder[0]
     assert float(written.friction.friction_static) == pytest.approx(700.0)
     assert float(written.friction_coulomb) == pytest.approx(min(coulomb or 700.0, 700.0))
+
+
+def test_a_link_that_was_weighed_wrongly_is_wrong_under_its_loads_too():
+    """By as many kilograms: each payload states the mass of the link with it."""
+    rig = shipped("slide_servo")
+    logs = [
+        Record(T, {"press.servo.command": LEVELS}, {"payload": load} if load else {})
+        for load in (None, "100 kg")
+    ]
+    row = {row.kind: row for row in hypotheses(rig, ["press"], [], logs)}["load"]
+    before, after = rig.parameters(), row.rig(rig, -0.1).parameters()
+    names = "carriage.mass", "100 kg.carriage.mass"
+    assert row.parameters == names
+    less = [float(before[name]) - float(after[name]) for name in names]
+    assert less == pytest.approx(2 * [0.1 * float(before["carriage.mass"])])
+    alone = {row.kind: row for row in hypotheses(rig, ["press"], [], logs[:1])}["load"]
+    assert alone.parameters == names[:1]
