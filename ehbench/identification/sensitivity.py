@@ -71,7 +71,7 @@ class SensitivitySettings:
         0.2, "", "share of the fit's simulations that this may take", "what people would wait for"
     )
     quick: float = setting(
-        350.0, "", "simulations that a fit of fewer counts as", "it takes part of a second"
+        600.0, "", "simulations that a fit of fewer counts as", "no row of a cylinder is left out"
     )
     first: float = setting(
         0.6, "", "share of these that ask each row of one log", "the rest asks the best of all"
@@ -146,7 +146,14 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
         for row, item in confirmed
         if item.explains >= SETTINGS.alike * max(explained) and item.beyond > BEYOND
     ]
-    likely.sort(key=lambda pair: (pair[0].certainty, -pair[1].explains))
+    left = 1.0 - max((item.explains for _, item in likely), default=0.0)
+    likely.sort(
+        key=lambda pair: (
+            (False, pair[0].certainty, -pair[1].explains)
+            if SETTINGS.alike * (1.0 - pair[1].explains) <= left
+            else (True, -pair[1].explains)
+        )
+    )
     leans = tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
     return Doubts(tuple(warnings), leans, unasked)
 
@@ -430,7 +437,9 @@ def _confirmed(
         return None
     live = [index[fit.search[i].name] for i in state.live]
     moved = _moved(fit, result, there.state.theta[live])
-    remedy = row.remedy(fit.simulator.rig, (value - here) / unit)
+    found, rig = freed.by_name(there.state.theta), fit.simulator.rig
+    rig = rig.with_values({n: v for n, v in found.items() if n in fit.simulator.known})
+    remedy = row.remedy(rig, (value - here) / unit)
     return row, Lean(c.name, here, value, std, 1.0 - after / before, moved, remedy)
 
 

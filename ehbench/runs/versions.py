@@ -15,10 +15,10 @@ METHODS: Mapping[str, int] = {
     "plant": 2,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 10,
-    "output_error": 11,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 12,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 2,
-    "diagnosis": 12,
+    "diagnosis": 13,
     "validation": 10,
     "control": 3,  # controllers and their monitor
     "tuning": 3,

@@ -1,5 +1,6 @@
 """The rows of the fault table that a rig and its logs have, without a simulation."""
 
+import tomllib
 from types import SimpleNamespace as Stub
 
 import numpy as np
@@ -214,3 +215,34 @@ def test_a_rod_through_both_ends_that_nobody_wrote_down():
     log = Record(T, {"press.servo.command": LEVELS})
     written = hypotheses(slide(through_rod=True), ["press"], [], [log])
     assert all(item.kind != "through rod" for item in written)
+
+
+@pytest.mark.parametrize("coulomb", [0.0, 300.0, 900.0])
+@pytest.mark.parametrize("kind", ["friction law", "sticking"])
+def test_the_lines_of_a_friction_law_make_a_rig_file(kind, coulomb):
+    """As they are: friction in motion is no more than at break-away, whatever the rig has of it."""
+    rig, log = slide(friction_coulomb=f"{coulomb} N"), Record(T, {"press.servo.command": LEVELS})
+    row = next(row for row in hypotheses(rig, ["press"], [], [log]) if row.kind == kind)
+    (number,) = (n for n in row.numbers if n.unit)
+    (block,) = row.rig_lines(rig, (700.0 - number.here) / number.unit)
+    owner, lines = rig.as_toml()["cylinder"][0], tomllib.loads(block)
+    written = Rig.model_validate(rig.as_toml() | {"cylinder": [owner | lines]}).cylinder[0]
+    assert float(written.friction.friction_static) == pytest.approx(700.0)
+    assert float(written.friction_coulomb) == pytest.approx(min(coulomb or 700.0, 700.0))
+
+
+def test_a_link_that_was_weighed_wrongly_is_wrong_under_its_loads_too():
+    """By as many kilograms: each payload states the mass of the link with it."""
+    rig = shipped("slide_servo")
+    logs = [
+        Record(T, {"press.servo.command": LEVELS}, {"payload": load} if load else {})
+        for load in (None, "100 kg")
+    ]
+    row = {row.kind: row for row in hypotheses(rig, ["press"], [], logs)}["load"]
+    before, after = rig.parameters(), row.rig(rig, -0.1).parameters()
+    names = "carriage.mass", "100 kg.carriage.mass"
+    assert row.parameters == names
+    less = [float(before[name]) - float(after[name]) for name in names]
+    assert less == pytest.approx(2 * [0.1 * float(before["carriage.mass"])])
+    alone = {row.kind: row for row in hypotheses(rig, ["press"], [], logs[:1])}["load"]
+    assert alone.parameters == names[:1]

@@ -133,6 +133,7 @@ class _Rows:
                     continue
                 if not fault.joined or scales.valve is None:
                     yield item
+                    yield from self._laden(item, scales)
                     continue
                 owner = scales.cylinder.name
                 per_valve = together.setdefault((fault.kind, owner, fault.keys), {})
@@ -149,6 +150,22 @@ class _Rows:
                 names = "+".join(name.partition(".")[2] for name in by_valve)
                 drive = "the drive of " if wholes[0].about.startswith("the drive") else ""
                 yield joined(wholes, f"{drive}{owner}.{names}")
+
+    def _laden(self, item: Hypothesis, scales: Scales) -> Iterator[Hypothesis]:
+        """A load of a link together with the masses that payloads of the logs state with it: a link
+        that was weighed wrongly is in each of them, by as many kilograms.
+        """
+        loads = dict.fromkeys(payload_of(log) for log in self.records if item.kind == "load")
+        names = [f"{load}.{name}" for name in item.parameters for load in loads]
+        with_it = [
+            Number.of(item.row, "mass", name, self.known[name], scales)
+            for name in names
+            if name in self.known
+        ]
+        if with_it:
+            more = (replace(number, unit=item.numbers[0].unit) for number in with_it)
+            about = f"{item.about}, also under loads"
+            yield replace(item, about=about, numbers=(*item.numbers, *more))
 
     def of_commands(self) -> Iterator[Hypothesis]:
         """Of what lies between recorded commands and valves."""

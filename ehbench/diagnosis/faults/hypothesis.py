@@ -302,7 +302,7 @@ class Hypothesis:
 
     def rig_lines(self, rig: Rig, delta: float | None = None) -> tuple[str, ...]:
         """What it adds to the rig file: where, and the keys below, one a line; numbers as where a
-        search begins, or of a fault of size δ.
+        search begins, or of a fault of size δ of this rig.
         """
         results, found = [], {}
         if delta is not None:
@@ -317,6 +317,12 @@ class Hypothesis:
                 keys = {table: content}
             elif not whole:
                 where = f"[{'.'.join([*place, table])}]"
+            if delta is not None:
+                for key in also:  # in motion no more than at break-away
+                    (number,) = (n for n in self.numbers if n.unit)
+                    most = number.at(delta)
+                    there = float(rig.parameters()[f"{number.name.rpartition('.')[0]}.{key}"])
+                    also = also | {key: rig.shown(number.name, min(there or most, most), 5)}
             lines = [f"{key} = {_toml(value)}" for key, value in (keys | also).items()]
             results.append("\n".join([where, *lines]))
         return tuple(results)
