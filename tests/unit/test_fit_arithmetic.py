@@ -979,10 +979,11 @@ def test_a_number_that_moves_an_estimate_by_half_of_its_interval_is_freed(beyond
 )
 @pytest.mark.parametrize("number", [True, False])
 def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, number):
-    """Four errors of 0.1 from where it is held, and a twentieth of the cost less."""
+    """Four errors of 0.1 from where it is held, and a twentieth of the cost less; its remedy is of
+    the rig as that fit found it, without what a sensor adds."""
     held = Stub(name="b", unit=0.5, here=2.0)
     still = Stub(name="a", unit=0.0, here=9.0)
-    row: Any = Stub(numbers=(still, held) if number else (), remedy=lambda *_: "free it")
+    row: Any = Stub(numbers=(still, held) if number else (), remedy=lambda *given: given)
     row.readings = () if number else (("press.v", "offset", 0.5),)
     search = [
         Coordinate("a", False, 1.0, 1.0, 0.0, 9.0),
@@ -991,10 +992,12 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
     value = there if number else there - 2.0
     end = Stub(theta=np.array([1.0, value]))
     errors = Stub(state=end, by_index={1: Stub(std=0.1)})
-    fit: Any = Stub(search=search[:1], simulator=Stub(rig=None))
+    simulator = Stub(rig=Stub(with_values=dict), known={"a": None})
+    fit: Any = Stub(search=search[:1], simulator=simulator)
     result: Any = Stub(state=Stub(live=(0,)))
     item: Any = Stub(row=row, delta=1.0)
     freed = Stub(search=search, logs=[Stub(start=Stub(terms=()))])
+    freed.by_name = lambda theta: dict(zip("ab", theta, strict=True))
     with answers(sensitivity, _freed=(freed, None, [1]), solve=(None, True),
                  evaluate=None, errors_of=errors, _moved=("moved",),
                  cost=lambda _, state: after if state is end else 100.0):  # fmt: skip
@@ -1004,6 +1007,7 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
         lean = found[1]
         assert (lean.name, lean.here, lean.there) == ("b", 2.0 if number else 0.0, value)
         assert (lean.std, lean.explains) == pytest.approx((0.1, 0.2))
+        assert lean.remedy == ({"a": 1.0}, pytest.approx((there - 2.0) / 0.5))
 
 
 @pytest.mark.parametrize(
@@ -1013,12 +1017,13 @@ def test_a_row_is_freed_from_its_own_step_alone_where_slopes_lead_astray(far, al
     """The step of what follows it is taken unless the logs are followed worse there than here; what
     goes back to its start does so in either."""
     search = [Coordinate(name, False, 1.0, 1.0, -9.0, 9.0) for name in "abc"]
-    fit: Any = Stub(search=search[:2], simulator=Stub(rig=None))
+    simulator = Stub(rig=Stub(with_values=lambda _: None), known={})
+    fit: Any = Stub(search=search[:2], simulator=simulator)
     errors = {0: Stub(source="hac"), 1: Stub(source="range"), 2: Stub(std=0.1)}
     result: Any = Stub(state=Stub(live=(0, 1)), by_index=errors)
     row: Any = Stub(numbers=(), readings=(("c", "offset", 1.0),), remedy=lambda *_: "")
     item = sensitivity._Suspect(row, [], (), delta=1.0, follow=np.array([5.0, 7.0]))
-    problem = Stub(search=search, logs=[Stub(start=Stub(terms=()))])
+    problem = Stub(search=search, logs=[Stub(start=Stub(terms=()))], by_name=lambda _: {})
 
     def freed(_, __, asked, effort):
         theta = np.array([*asked.follow, 1.0])
