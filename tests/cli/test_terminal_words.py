@@ -16,6 +16,7 @@ from ehbench.vocabulary.commands import COMMANDS
 from tests.answers import short
 from tests.shared import ROOT
 from tests.unit import report_runs as runs
+from tests.unit.test_versions import made
 
 LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
 
@@ -99,12 +100,15 @@ def test_each_run_that_stands_is_short(slide_runs, boom_maps):
 
 
 @pytest.mark.slow
-def test_the_pump_cylinder_is_identified_and_accepted_in_few_words(undrawn, tmp_path):
-    """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
-    recipe = ROOT / "recipes" / "pump_cylinder" / "campaign.toml"
-    assert workflow.run(recipe, workflow.Session(root=tmp_path)).code == workflow.DONE
-    fit, judged = (next(tmp_path.glob(f"{name}_*")) for name in ("hydraulics", "validation"))
-    rows = read_json(fit / "parameters.json")["parameters"]
+def test_the_pump_cylinder_is_identified_and_accepted_in_few_words(made_once, undrawn, tmp_path):
+    """From a log of its virtual rig slip and damping are found; the held-out log follows."""
+    (fit,) = made_once("v_lift", lambda root: made(root, "lift")).glob("lift_*")
+    shipped = ROOT / "recipes" / "pump_cylinder" / "validation.toml"
+    text = shipped.read_text().replace("hydraulics.toml", str(fit)).replace("../..", str(ROOT))
+    (tmp_path / "judge.toml").write_text(text)
+    run = workflow.run(tmp_path / "judge.toml", workflow.Session(root=tmp_path))
+    assert run.code == workflow.DONE
+    judged, rows = run.folder, read_json(fit / "parameters.json")["parameters"]
     status = {row["name"]: row["status"] for row in rows}
     for name in ("bulk_modulus", "table.damping", "lift.pump.slip"):
         assert status[name] == "estimated"

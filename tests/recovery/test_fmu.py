@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,7 @@ kind = "position"
 """
 
 
+@cache
 def recorded(seed: int, first: float, back: float) -> Record:
     """Steps out and back by SciPy, with the noise of sensors."""
     t = np.arange(1000) * 1e-3
@@ -189,14 +191,12 @@ def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, place):
 
 @pytest.fixture(scope="module")
 def off(place):
-    """Logs whose sensor of the head end reads 6 % and 3 bar too much."""
-    for name, *steps in (("aoff", 1, 1.5, -1.0), ("boff", 2, -1.2, 1.8)):
-        record = recorded(*steps)
-        reading = {"press.p_head": 1.06 * record["press.p_head"] + 3e5}
-        write_log(place / f"{name}.mcap", replace(record, channels=record.channels | reading))
-    a, b = (f'[[data]]\npath = "{name}off.mcap"\n' for name in "ab")
-    (place / "judge_off.toml").write_text(JUDGE + a)
-    (place / "fit_off.toml").write_text(FIT + a + b)
+    """A log whose sensor of the head end reads 6 % and 3 bar too much."""
+    record = recorded(1, 1.5, -1.0)
+    reading = {"press.p_head": 1.06 * record["press.p_head"] + 3e5}
+    write_log(place / "off.mcap", replace(record, channels=record.channels | reading))
+    for name, text in (("judge_off", JUDGE), ("fit_off", FIT)):
+        (place / f"{name}.toml").write_text(text + '[[data]]\npath = "off.mcap"\n')
     return place
 
 

@@ -60,7 +60,7 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
 COMMANDED = {
     "steps": tuple(DRIVES),
     "sine": ("crane_proportional", "thesis_arm"),
-    "chirp": ("slide_servo", "boom_four_valve", "pump_cylinder"),
+    "chirp": ("slide_servo", "boom_four_valve"),
     "ramps": ("slide_servo", "pump_cylinder"),
 }
 
