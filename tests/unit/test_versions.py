@@ -172,7 +172,7 @@ VALVES = {
     "lack of fit": lambda: laws.readings(laws.pressed, 4, **FEW | {"trials": 3}),
     "leak": lambda: laws.readings(laws.leaky(True), 40, **FEW),
     "leak that ends": lambda: laws.readings(laws.leaky(False), 40, **FEW),
-    "falls": lambda: laws.readings(laws.hump, 51, **FEW),
+    "falls": lambda: laws.readings(laws.hump, 51, **FEW | {"commands": laws.COMMANDS[1::2]}),
     "no drop": lambda: without_drop(laws.readings(laws.poppet, 70, drops=laws.DROPS[6:7])),
     "outliers": lambda: with_outliers(laws.readings(laws.compensated, 5, **FEW)),
 }
