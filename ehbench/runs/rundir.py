@@ -378,10 +378,15 @@ def outputs_of(facts: Path) -> Mapping[str, Any]:
 
 
 def _put(scratch: Path, final: Path) -> tuple[str, ...]:
-    """Move a whole run to its place; of two processes that write one run, the last stays. Files of
-    the run before that someone changed are kept in ``salvaged``; a message for each."""
+    """Move a whole run to its place, where the same run stays: another process may be reading it.
+    Files of the run before that someone changed are kept in ``salvaged``; a message for each."""
     before, messages = final.with_name(f".{final.name}.{os.getpid()}.before"), []
     for _ in range(100):
+        with suppress(FileNotFoundError, InputError):  # another process is putting its run there
+            facts = [read_bytes(folder / "run.json", DATA) for folder in (scratch, final)]
+            if facts[0] == facts[1] and is_whole(final):
+                os.replace(scratch / "volatile.json", final / "volatile.json")
+                return tuple(messages)
         with suppress(FileNotFoundError):
             final.rename(before)
             try:

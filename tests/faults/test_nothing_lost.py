@@ -67,6 +67,20 @@ def test_a_run_replaces_the_run_before(place):
     assert sorted(p.name for p in place.iterdir()) == ["out", RECIPE]
 
 
+def test_the_same_run_made_again_stays_where_others_read_it(place):
+    """What a process reads is there at any moment, and the time of the run is the last one's."""
+    made("run")
+    volatile = Path("run/volatile.json")
+    before, read_there = volatile.read_bytes(), Path("run").stat().st_ino
+    volatile.write_bytes(before + b" ")
+    made("run")
+    assert Path("run").stat().st_ino == read_there and volatile.read_bytes()[-1:] != b" "
+    Path("run/result.json").write_text("edited")
+    made("run")
+    assert Path("run").stat().st_ino != read_there
+    assert Path("run/result.json").read_text() == "one"
+
+
 @pytest.mark.parametrize("facts", ["{}", "[]", "", '{"outputs": []}', "[" * 5000, None])
 def test_a_folder_with_other_files_is_left_alone(place, facts):
     Path("out").mkdir()
