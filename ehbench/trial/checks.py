@@ -33,24 +33,27 @@ class CheckSettings:
     range: float = setting(
         3.0, "", "a pressure, in highest pressures of the rig", "a caught load doubles it"
     )
+    late: float = setting(0.02, "s", "a sample's age, a controller's time", "what a link retains")
+    late_ticks: float = setting(2.0, "", "the same, at least, in ticks", "one packet lost")
 
 
 CHECKS = CheckSettings()
 
 
-def limit_array(limits: Limits, rig: Rig) -> np.ndarray:
-    """A recipe's limits in the order of LIMITS, SI; infinite where there is none.
+def limit_array(limits: Limits, rig: Rig, tick: float) -> np.ndarray:
+    """A recipe's limits in the order of LIMITS, SI; infinite where there is none; ``tick`` [s].
 
     Those of each cylinder by itself, the last of LIMITS, are in `checks_of`."""
     highest = [float(rig.supply.pressure)]
     highest += [float(c.relief_pressure) for c in rig.cylinder if c.relief_pressure is not None]
-    values = []
+    late, values = max(CHECKS.late, CHECKS.late_ticks * tick), []
+    auto = {"pressure_range": CHECKS.range * max(highest), "sample_age": late, "overrun": late}
     for name in LIMITS:
         value = getattr(limits, name, None)
-        if value == "auto" and name == "pressure_range":
-            value = CHECKS.range * max(highest)
+        if value == "auto":
+            value = auto.get(name)
         none = -math.inf if name in ("pressure_min", "stroke_margin") else math.inf
-        values.append(none if value is None or value == "auto" else float(value))
+        values.append(none if value is None else float(value))
     return np.array(values)
 
 

@@ -399,7 +399,8 @@ def prepare(
     _refuse_unknown_pressures(recipe, machine)
     payloads = _payloads(recipe, machine, t)
     model = Model.of(rig, maps) if loop is None else loop.design.model
-    given = recipe, rig, maps, machine, t, table, limit_array(recipe.limits, rig), posture, loop
+    limits = limit_array(recipe.limits, rig, t[1])
+    given = recipe, rig, maps, machine, t, table, limits, posture, loop
     prepared = Prepared(*given, payloads, model.plant.cylinders)
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)

@@ -635,7 +635,16 @@ def highest():
     top = [float(rig.supply.pressure), *(float(c.relief_pressure or 0.0) for c in rig.cylinder)]
     asked: Any = Stub(pressure_range="auto")
     row = checks.LIMITS.index("pressure_range")
-    return round(float(checks.limit_array(asked, rig)[row]) / max(top), 6)
+    return round(float(checks.limit_array(asked, rig, 1e-3)[row]) / max(top), 6)
+
+
+def oldest(tick):
+    """The age [ms] that a sample may have by default, and the time that a controller may take."""
+    asked: Any = Stub(sample_age="auto", overrun="auto", pressure_range=1.0)
+    limits = checks.limit_array(asked, shipped("slide_servo"), tick)
+    age, overrun = (float(limits[checks.LIMITS.index(n)]) for n in ("sample_age", "overrun"))
+    assert age == overrun
+    return round(1e3 * age, 6)
 
 
 def postures(length, off=0.0):
@@ -974,6 +983,8 @@ ROWS = [
     (checks.CHECKS, "following", lambda: bounds("following"), 0.1),
     (checks.CHECKS, "mismatch", lambda: bounds("mismatch"), 0.05),
     (checks.CHECKS, "range", highest, 3.0),
+    (checks.CHECKS, "late", lambda: oldest(1e-3), 20.0),
+    (checks.CHECKS, "late_ticks", lambda: oldest(0.05), 100.0),
     (path.PATH, "spacing", lambda: postures(1.0)[0], [201]),
     (path.PATH, "postures", lambda: postures(0.01)[0], [33]),
     (path.PATH, "doublings", lambda: postures(1.0, 1.0)[:2], ([201, 401, 801, 1601],

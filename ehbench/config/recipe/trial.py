@@ -82,8 +82,8 @@ class Limits(FileModel):
         "auto"
     )
     pressure_range: Annotated[Value | Literal["auto"], Q("pressure", word="auto")] = "auto"
-    sample_age: Annotated[Value, Q("delay")] = Value(0.02)
-    overrun: Annotated[Value, Q("delay")] = Value(0.02)
+    sample_age: Annotated[Value | Literal["auto"], Q("delay", word="auto")] = "auto"
+    overrun: Annotated[Value | Literal["auto"], Q("delay", word="auto")] = "auto"
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
 
 
