@@ -145,7 +145,7 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
     """
     removed, shift, may_shift = 0.0, 0.0, True
     for _ in range(SETTINGS.lag_turns):
-        readings = sort_readings(who, given, options, removed).shifted(shift)
+        readings = without_zeros(sort_readings(who, given, options, removed)).shifted(shift)
         leak = _find_leak(readings)
         if leak is None:
             result = _iterate(readings, None)
@@ -272,6 +272,34 @@ def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.nd
     size = np.abs(cells.heard - flow) / noise.std(r, flow)
     far = size > 1.5 * READING.outlier * max(MAD * float(np.median(size[flow > 0])), 0.1)
     return r, shape, flow, ~few(far & unbacked(r, noise, cells.heard, flow), size)
+
+
+def without_zeros(r: Readings) -> Readings:
+    """The readings without the zero of their meter: what it shows at rest at all drops alike, where
+    a leak grows with the drop, as the flow of the open valve does."""
+    from scipy.optimize import nnls
+
+    def alike(at: np.ndarray) -> float:
+        """−2 log likelihood that flows are alike, over that they grow with the drop."""
+        s, y = r.s[at], r.y[at]
+        floor = y.size * (max(r.digit.values()) + 1e-9) ** 2
+        by_drop = nnls(np.column_stack([s, s**2]), y)[1] ** 2
+        return y.size * float(np.log((y.size * y.var() + floor) / (by_drop + floor)))
+
+    widest = r.level == r.level.max()
+    if alike(widest) < SETTINGS.leak_gain:
+        return r
+    zeros = {}
+    for method in r.digit:
+        still = (r.method == method) & ~r.silent & (r.command == 0)
+        if still.sum() < 4 or alike(still) > -SETTINGS.leak_gain:
+            continue
+        middle = float(np.median(r.y[still]))
+        error = MAD * float(np.median(np.abs(r.y[still] - middle))) / np.sqrt(still.sum())
+        if abs(middle) > max(SHAPE.shut, SHAPE.shut_sure * error):
+            zeros[method] = middle
+    off = np.where(r.silent, 0.0, [zeros.get(method, 0.0) for method in r.method])
+    return replace(r, y=r.y - off, q=r.q - r.rated * off, zeros=zeros)
 
 
 def _find_leak(r: Readings) -> Leak | None:

@@ -94,7 +94,8 @@ class Readings:
     down, 0 where that is not known. ``one_drop``: taken without pressures. ``drop_std`` is the
     standard error that all drops share, as a share of the largest, ``command_std`` that of all
     commands [V]. ``shift`` [V]: what the deadband is higher at the largest drop than at none; ``u``
-    is the command that does the same at half of the largest drop."""
+    is the command that does the same at half of the largest drop. ``zeros``: what meters show
+    without flow, scaled, by method, which is taken off both flows."""
 
     who: str
     show: Units
@@ -118,6 +119,7 @@ class Readings:
     drop_std: float
     command_std: float
     shift: float = 0.0
+    zeros: dict[str, float] = field(default_factory=dict)
 
     def shifted(self, shift: float) -> Readings:
         """The same readings with another ``shift``."""

@@ -437,7 +437,7 @@ def _outliers(result: Fit) -> tuple[Outlier, ...]:
             int(r.line[i]),
             float(r.command[i]),
             float(r.drop[i]),
-            float(r.q[i]),
+            float(r.q[i] + r.rated * r.zeros.get(str(r.method[i]), 0.0)),
             round(float(result.sigmas[i]), 2),
         )
         for i in out[np.argsort(r.line[out], kind="stable")]
@@ -497,6 +497,8 @@ def _features(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
     def volts(value: float) -> str:
         return show.volts(round(value, 2))
 
+    for method, zero in result.readings.zeros.items():
+        yield message("flow_maps.zero", method=method, zero=show.flow(fit.map.rated_flow * zero, 3))
     if result.leak and fit.leakage:
         low, high = (show.flow(end, 3) for end in fit.leakage_interval)
         key = "flow_maps.leak_goes_on" if result.leak.goes_on else "flow_maps.leak_ends"

@@ -256,9 +256,32 @@ def test_a_map_of_one_drop_and_few_readings_is_fitted():
 
 def test_a_leak_is_reported_and_the_map_shut():
     data = readings(poppet, 14)
-    found = fit({**data, "flow": data["flow"] + 0.05 * GPM * (data["command"] < 1.6)})
-    assert found.leakage == pytest.approx(0.05 * GPM, rel=0.1) and "leak_ends" in keys(found)
+    leak = 0.15 * GPM * np.sqrt(data["pressure_drop"]) / np.mean(np.sqrt(DROPS))
+    found = fit({**data, "flow": data["flow"] + leak * (data["command"] < 1.6)})
+    assert found.leakage == pytest.approx(0.15 * GPM, rel=0.1)
+    assert "leak_ends" in keys(found) and "zero" not in keys(found)
     assert found.map.flow(3e6, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("zero", [0.05, -0.05])
+def test_a_zero_of_the_meter_is_taken_off_and_is_no_leak(zero):
+    data = {**readings(poppet, 14), "method": "flowmeter"}
+    plain = fit(data)
+    found = fit({**data, "flow": data["flow"] + zero * GPM})
+    (note,) = (note for note in found.warnings if note.key == "flow_maps.zero")
+    assert float(note.fields["zero"].split()[0]) == pytest.approx(zero, abs=0.003)
+    assert "zero" not in keys(plain) and abs(found.leakage) < 0.003 * GPM
+    held, rms, _ = compare(found, poppet)
+    assert rms < 0.002 and held > compare(plain, poppet)[0] - 0.1
+
+
+def test_a_compensated_valve_open_at_rest_has_no_zero_of_the_meter():
+    """Its flow is the same at every drop, at rest as elsewhere."""
+
+    def law(drop, command):
+        return (0.2 + 0.8 * command) * LPM * np.ones_like(drop)
+
+    assert "zero" not in keys(fit(readings(law, 3, drops=np.linspace(2e6, 2e7, 8))))
 
 
 def test_calibration_is_judged_and_no_flow_shown_as_zero():

@@ -43,7 +43,8 @@ def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0, later=
         )  # pyright: ignore[reportArgumentType]
 
     leak = None if not apart else fit.Leak(0.0, 0.0, 0.0, 1)
-    with answers(fit, sort_readings=lambda *_: readings, _find_leak=lambda _: leak,
+    with answers(fit, sort_readings=lambda *_: readings, without_zeros=lambda r: r,
+                 _find_leak=lambda _: leak,
                  _iterate=iterate,
                  _hysteresis_of=lambda _: later if later and turns[1:] else lag,
                  _shift_of=lambda _: (0.0, 0.0),
