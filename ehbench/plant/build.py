@@ -187,6 +187,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         numbers = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
+        mobility, free = _mobility(kind, bodies.tobytes(), pins, joint, numbers["stroke"])
         pressed = float(rig.supply.pressure)  # a piston into its end stop
         if rig.supply.accumulator is not None and relief is not None:
             pressed = max(pressed, float(relief))  # a pump may bring a charge line up to it
@@ -202,7 +203,8 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": pressed * head / STOP_DEPTH,
-                "mobility": _mobility(kind, bodies.tobytes(), pins, joint, numbers["stroke"]),
+                "mobility": mobility,
+                "damping_rate": free * float(links[joint].damping),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
@@ -234,9 +236,11 @@ def pins_of(item: Cylinder) -> PinNumbers:
 
 
 @lru_cache(maxsize=64)
-def _mobility(kind: int, packed: bytes, pins: PinNumbers, joint: int, stroke: float) -> float:
-    """Largest acceleration at the cylinder per force on it [1/kg] over its stroke, the other joints
-    at zero and free.
+def _mobility(
+    kind: int, packed: bytes, pins: PinNumbers, joint: int, stroke: float
+) -> tuple[float, float]:
+    """Largest acceleration at the cylinder per force on it [1/kg], and of its joint per torque
+    [1/(kg·m²)], over its stroke, the other joints at zero and free.
 
     Args:
         packed: bytes of the links, without damping. Fits make many plants of one mechanism.
@@ -250,7 +254,7 @@ def _mobility(kind: int, packed: bytes, pins: PinNumbers, joint: int, stroke: fl
         arm.mass_matrix(kind, links, q, item, work)
     free = np.linalg.inv(mass)[:, joint, joint].tolist()
     levers = (linkage(*pins, angle)[1] for angle in angles.tolist())
-    return max(lever**2 * per for lever, per in zip(levers, free, strict=True))
+    return max(lever**2 * per for lever, per in zip(levers, free, strict=True)), max(free)
 
 
 def _nodes(rig: Rig, names: Layout) -> np.recarray:

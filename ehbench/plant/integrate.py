@@ -52,12 +52,15 @@ def stages(y, command, plant, d, k, work):
 
 @part_kernel
 def advance(y, command, plant, h, k, work, rate):
-    """`rk4` where ``k[0]`` and ``rate`` already hold what the derivatives give at ``y``.
+    """`rk4` where ``k[0]`` and ``rate`` already hold what the derivatives give at ``y``. The
+    damping of the joints counts here only: steps by their error follow it by themselves.
 
     A check valve that opens and shuts within a step is in no rate at its start, so a substep that
     meets a rate which it is too long for is taken again, and what is left of the step with it, in
     as many parts as that rate asks for."""
     size, left, taken = y.shape[0], 1.0, 0
+    for c in range(plant.cylinders.shape[0]):
+        rate = max(rate, plant.cylinders[c].damping_rate)
     if rate * h > STIFF:
         left = 1.0 * min(MOST_SUBSTEPS, math.ceil(rate * h / STIFF))
     d, maximum = h / left, MOST_SUBSTEPS / left

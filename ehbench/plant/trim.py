@@ -32,7 +32,8 @@ _IDLE = {
     "cylinders": (
         *(name for name, *_ in OIL_COLUMNS),
         *("volume_head", "volume_rod", "leakage_internal", "leakage_head", "leakage_rod"),
-        *("relief_pressure", "cavitation_pressure", "stop_stiffness", "mobility"),
+        *("relief_pressure", "cavitation_pressure", "stop_stiffness"),
+        *("mobility", "damping_rate"),
     ),
     "edges": tuple(set(EDGE.names or ()) - {"law", "from_node", "to_node"}),
     "lines": tuple(set(LINE.names or ()) - {"node", "chamber", "cylinder"}),

@@ -12,7 +12,7 @@ from typing import Any
 
 METHODS: Mapping[str, int] = {
     "logs": 4,  # reading of logs and files, gaps, sensor terms, initial states
-    "plant": 2,  # equations of the plant, its parts and their integration
+    "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
     "output_error": 12,  # identification, its intervals, what `--suggest` and profiles tell
