@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from ehbench.config.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
+from ehbench.config.recipe import Command, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.data import read_log
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
@@ -81,6 +82,25 @@ RAMP = {"kind": "ramp", "offset": "1 V", "amplitude": "2 V", "start": "0.2 s", "
 def test_a_command_is_what_its_entries_say(rig, commands, volts):
     u = played(rig, *commands)
     assert {at: u[at] for at in volts} == pytest.approx(volts, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "entry"),
+    [
+        ("kind_takes", "amplitude", {"kind": "constant", "amplitude": "3 V"}),
+        ("kind_takes", "frequency", {"kind": "step", "frequency": "5 Hz"}),
+        ("kind_takes", "stop", {"kind": "file", "file": "a.mcap", "stop": "1 s"}),
+        ("kind_needs", "stop", {"kind": "ramp", "amplitude": "3 V"}),
+        ("kind_needs", "file", {"kind": "file"}),
+        ("kind_needs", "frequency", {"kind": "sine", "amplitude": "3 V"}),
+        ("kind_needs", "frequency_max", {"kind": "multisine", "frequency": "5 Hz"}),
+    ],
+)
+def test_a_command_has_the_keys_of_its_kind_alone(key, name, entry):
+    with pytest.raises(ValidationError) as caught:
+        Command.model_validate(VALVE | entry)
+    error = caught.value.errors()[0].get("ctx", {})["error"].args[0]
+    assert (error.key, error.fields["key"]) == (f"config.{key}", name)
 
 
 def test_none_is_the_word_for_no_payload(tmp_path):

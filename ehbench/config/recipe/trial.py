@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from ehbench.config.recipe.base import ByParameter, Payload, Recipe
 from ehbench.config.recipe.toml import as_list
 from ehbench.config.rig import LoadSensing, LowRail
-from ehbench.config.rig.names import second
+from ehbench.config.rig.names import Misplaced, second
 from ehbench.control import LAW_NAMES
 from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value, Vector
@@ -43,22 +43,29 @@ class Command(FileModel):
 
     @model_validator(mode="after")
     def _whole(self) -> Command:
-        if self.kind == "ramp" and self.stop is None:
-            raise ValueError(message("config.ramp_needs_stop"))
-        if self.kind == "file" and self.file is None:
-            raise ValueError(message("config.file_command_needs_file"))
-        if self.kind not in ("sine", "multisine"):
-            return self
-        if self.frequency is None:
-            raise ValueError(message("config.needs_frequency", kind=self.kind))
-        low = float(self.frequency)
-        if not low > 0.0:
-            raise ValueError(message("config.frequency_not_positive"))
-        if self.kind == "multisine" and self.frequency_max is None:
-            raise ValueError(message("config.multisine_needs_frequency_max"))
-        high = math.inf if self.frequency_max is None else float(self.frequency_max)
-        if self.kind == "multisine" and not high > low:
-            raise ValueError(message("config.frequency_max_low", high=high, low=low))
+        window = "amplitude", "start", "stop"
+        needs, takes = {
+            "constant": ((), ()),
+            "step": ((), window),
+            "ramp": (("stop",), window),
+            "sine": (("frequency",), window),
+            "multisine": (("frequency", "frequency_max"), (*window, "lines", "seed")),
+            "file": (("file",), ("start",)),
+        }[self.kind]
+        for name, item in type(self).model_fields.items():
+            fields = {"what": "command", "kind": self.kind, "key": name}
+            given = getattr(self, name) != item.default
+            if name in needs and not given:
+                raise ValueError(message("config.kind_needs", **fields))
+            if given and name not in ("valve", "kind", "offset", *needs, *takes):
+                raise Misplaced(message("config.kind_takes", **fields), name)
+        if self.frequency is not None:
+            low = float(self.frequency)
+            high = math.inf if self.frequency_max is None else float(self.frequency_max)
+            if not low > 0.0:
+                raise ValueError(message("config.frequency_not_positive"))
+            if not high > low:
+                raise ValueError(message("config.frequency_max_low", high=high, low=low))
         return self
 
 

@@ -58,10 +58,12 @@ class Force(FileModel):
         needs = takes[:2]
         for key in needs:
             if getattr(self, key) is None:
-                raise ValueError(message("config.force_kind_needs", kind=self.kind, key=key))
+                fields = {"what": "force", "kind": self.kind, "key": key}
+                raise ValueError(message("config.kind_needs", **fields))
         for key in set(type(self).model_fields) - {"name", "kind", *takes}:
             if getattr(self, key) is not None:
-                raise Misplaced(message("config.force_kind_takes", kind=self.kind, key=key), key)
+                fields = {"what": "force", "kind": self.kind, "key": key}
+                raise Misplaced(message("config.kind_takes", **fields), key)
         if (self.area_rod is None) != (self.pressure_rod is None):
             raise ValueError(message("config.area_with_pressure"))
         if self.channel is not None:
