@@ -175,6 +175,8 @@ def _edge_of(
         full = name if plain.count(name) == 1 else f"{cylinder.name}.{name}"
         for alias in {name, f"{cylinder.name}.{name}", item.name, f"{cylinder.name}.{item.name}"}:
             known.setdefault(alias, []).append((full, item, edge))
+    if valve not in known:  # a file's name may be in capitals
+        valve = next((name for name in known if name.lower() == valve.lower()), valve)
     if valve not in known:
         near, there = get_close_matches(valve, known, 1), ", ".join(sorted(set(plain)))
         text = message("flow_maps.unknown_edge", rig=rig.name, valve=valve, there=there)

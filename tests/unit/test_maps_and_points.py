@@ -805,6 +805,7 @@ def rows_of(valve="servo_supply_head", way="forward", size=20, **columns: Any):
         ("slide_servo", "press.servo", "tank->rod", 1, "servo_rod_tank", "reverse"),
         ("thesis_arm", "stick.servo", "supply->head", 1, "stick.servo_supply_head", "forward"),
         ("thesis_arm", "boom.regen", "reverse", 1, "regen", "reverse"),
+        ("thesis_arm", "REGEN", "forward", 1, "regen", "forward"),
         ("slide_servo", "servo", "forward", 1, "flow_maps.several_edges", ""),
         ("slide_servo", "servo", "head->rod", 1, "flow_maps.unknown_direction", ""),
         ("slide_servo", "servo_supply_hed", "forward", 1, "flow_maps.unknown_edge_near", ""),
