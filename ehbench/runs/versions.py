@@ -24,7 +24,7 @@ METHODS: Mapping[str, int] = {
     "tuning": 3,
     "trial": 2,  # the loop and what is measured of it
     "ledger": 3,
-    "sampling": 1,  # designs of studies and their statistics
+    "sampling": 2,  # designs of studies and their statistics
 }
 
 _SIMULATED = ("logs", "plant")

@@ -125,8 +125,8 @@ class Fmu:
         if base is not None:
             powers = {word: power for word in BASE if (power := getattr(base, word))}
             expected = units.exponents(unit)  # an angle may be a stroke: a rig may slide
-            alike = not powers or not expected or "rad" in expected or powers == expected
-            if alike or use == "commands":
+            vague = use != "commands" and (not powers or not expected or "rad" in expected)
+            if vague or powers == expected:
                 return Variable(item.valueReference, base.factor, base.offset)
             problem: str = message("vocabulary.unit_of_another_kind", unit=declared, si=unit)
         else:
@@ -136,6 +136,8 @@ class Fmu:
                 return Variable(item.valueReference, factor, 0.0)
             except UnitError as error:
                 problem = error.message
+        if use == "commands":  # a rig has volts alone
+            return Variable(item.valueReference, 1.0, 0.0)
         fields = {"name": name, "unit": declared, "problem": problem}
         raise InputError(message("runtime.fmu_unit", **fields), file=self.file)
 

@@ -72,7 +72,10 @@ class Instance:
         rows = []
         for command in table:
             self.put("commands", command)
-            self.fmu.doStep(self.count * tick, tick)
+            done = self.fmu.doStep(self.count * tick, tick)
+            if done and any(done[1:3]):  # of FMI 3: it ends, or has done a part of the step
+                end = "terminateSimulation" if done[1] else "earlyReturn"
+                raise RuntimeError(f"fmi3DoStep: {end} at {done[3]:g} s")
             self.count += 1
             rows.append(self.get())
             if not all(map(math.isfinite, rows[-1])):

@@ -19,17 +19,20 @@ class Quantile(NamedTuple):
     high: float | None
 
 
-def quantile(values: np.ndarray, share: float) -> Quantile:
+def quantile(values: np.ndarray, share: float, alike: float = 1.0) -> Quantile:
     """A quantile with a distribution-free interval from order statistics: the number of samples
     below the quantile is binomial (Conover, Practical Nonparametric Statistics, 3.2).
 
     Args:
         values: finite, shape (samples,), at least one.
-        share: of the quantile, above 0 and below 1."""
-    from scipy.stats import quantile_test
+        share: of the quantile, above 0 and below 1.
+        alike: samples that count as one, as they share what was drawn."""
+    from scipy.stats import binom
 
-    interval = quantile_test(values, p=share).confidence_interval(0.95)
-    low, high = (None if math.isnan(end) else float(end) for end in interval)
+    ordered, count = np.sort(values), max(1, int(values.size / alike))
+    first, last = int(binom.ppf(TAIL, count, share)) - 1, int(binom.isf(TAIL, count, share))
+    low = float(ordered[first * values.size // count]) if first >= 0 else None
+    high = float(ordered[-(-(last + 1) * values.size // count) - 1]) if last < count else None
     return Quantile(share, float(np.quantile(values, share)), low, high)
 
 
@@ -43,14 +46,15 @@ class Share(NamedTuple):
     high: float
 
 
-def share(count: int, of: int) -> Share:
-    """A share with its exact interval (Clopper and Pearson 1934)."""
+def share(count: int, of: int, alike: float = 1.0) -> Share:
+    """A share with its exact interval (Clopper and Pearson 1934); ``alike`` as for `quantile`."""
     from scipy.special import betaincinv
 
     if not of:
         return Share(0, 0, math.nan, 0.0, 1.0)
-    low = 0.0 if count == 0 else float(betaincinv(count, of - count + 1, TAIL))
-    high = 1.0 if count == of else float(betaincinv(count + 1, of - count, 1.0 - TAIL))
+    met, missed = count / alike, (of - count) / alike
+    low = 0.0 if not met else float(betaincinv(met, missed + 1, TAIL))
+    high = 1.0 if not missed else float(betaincinv(met + 1, missed, 1.0 - TAIL))
     return Share(count, of, count / of, low, high)
 
 

@@ -34,7 +34,7 @@ class Summary:
             "inputs": list(self._inputs()),
             "measures": [self._measure(index) for index in range(len(self.measures))],
             "targets": [
-                {**target, **statistics.share(int(met.sum()), size)._asdict()}
+                {**target, **statistics.share(int(met.sum()), size, self._alike)._asdict()}
                 for target, met in zip(self.targets, self._met, strict=True)
             ],
             "groups": self._groups(),
@@ -81,6 +81,12 @@ class Summary:
         y = self.rows.measures[:, index]
         return np.where(np.isfinite(y) & whole, y, np.nan)
 
+    @property
+    def _alike(self) -> float:
+        """Samples to each that is drawn by itself: all combinations have the same points."""
+        drawn = self.recipe.samples * (2 if self.recipe.design == "saltelli" else 1)
+        return self.design.size / drawn
+
     @cached_property
     def _met(self) -> list[np.ndarray]:
         """Of each target, the samples that meet it; one without the measure does not."""
@@ -112,7 +118,8 @@ class Summary:
             about |= {"mean": y.mean(), "std": y.std(ddof=1) if y.size > 1 else None}
             about |= {"minimum": y.min(), "maximum": y.max()}
             about["quantiles"] = [
-                statistics.quantile(y, share)._asdict() for share in statistics.QUANTILES
+                statistics.quantile(y, share, self._alike)._asdict()
+                for share in statistics.QUANTILES
             ]
         return about
 
@@ -122,6 +129,7 @@ class Summary:
         if not 1 < design.combinations <= 400:  # a table of more is not read
             return []
         keys, results = [item.key for item in design.listed], []
+        alike = self._alike / design.combinations
         values = [self._values(index) for index in range(len(self.measures))]
         for first in range(0, design.size, design.points):
             span, inputs = slice(first, first + design.points), design.inputs(first)
@@ -142,7 +150,7 @@ class Summary:
                     "whole": int(np.isin(self.rows.codes[span], WHOLE).sum()),
                     "measures": measures,
                     "targets": [
-                        statistics.share(int(met[span].sum()), design.points)._asdict()
+                        statistics.share(int(met[span].sum()), design.points, alike)._asdict()
                         for met in self._met
                     ],
                 }

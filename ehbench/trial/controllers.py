@@ -343,8 +343,8 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
 def not_as_tuned(
     recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
 ) -> tuple[Message, ...]:
-    """Notes where gains were tuned for another supply, rig, tick or law than the trial's, or on a
-    rig that no validation accepted without reservation."""
+    """Notes where gains were tuned for another supply, rig, tick or law than the trial's, on a
+    rig that no validation accepted without reservation, or miss what was demanded of them."""
     if tuning is None:
         return ()
     notes = (*other_supply(rig, tuning), *other_rig(rig, tuning))
@@ -352,6 +352,7 @@ def not_as_tuned(
         notes += (message("stages.tuned_unvalidated"),)
     for reason in tuning.get("reservations", ())[:1]:
         notes += (message("stages.tuned_with_reservation", reason=reason),)
+    notes += (message("stages.demands_missed"),) * (not tuning.get("met", True))
     tick, chosen = 1.0 / float(recipe.rate), recipe.controller
     if (tuned := tuning.get("tick")) is not None and _differ(tuned, tick):
         notes += (message("trial.other_tick", tuned=1e3 * tuned, tick=1e3 * tick),)

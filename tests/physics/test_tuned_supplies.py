@@ -299,7 +299,7 @@ def test_a_trial_on_another_supply_than_the_tuned_says_so():
     assert note.fields["supply"].fields == {"tuned": "load sensing", "kind": "constant pressure"}
 
 
-def test_gains_of_another_tick_or_law_say_so():
+def test_gains_of_another_tick_or_law_or_short_of_their_demands_say_so():
     gains, rig = tuned("load sensing").as_json(), rig_on("load sensing", "boom_four_valve", 0.5)
     feedback = {"cylinder": "boom", "feedback_gain": 1e-11, "washout": 1.0, "low_pressure": 8e5}
 
@@ -308,7 +308,8 @@ def test_gains_of_another_tick_or_law_say_so():
         assert loop is not None
         return [(note.key, note.fields) for note in loop.notes]
 
-    assert gains["tick"] == 1e-3 and notes(gains) == []
+    assert gains["tick"] == 1e-3 and notes(gains | {"met": True}) == []
+    assert notes(gains | {"met": False}) == [("stages.demands_missed", {})]
     slow = ("trial.other_tick", {"tuned": 1.0, "tick": pytest.approx(10.0)})
     assert notes(gains, rate="100 Hz") == [slow]
     for kind, missing in (("pressure_feedback", 0), ("open_loop", 0), ("position", 0), ("arc", 2)):

@@ -7,6 +7,7 @@ import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,11 +18,12 @@ from ehbench import workflow
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
-from ehbench.plant.foreign import model_of
+from ehbench.plant.foreign import FmuModel, model_of
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.runtime import fmu
+from ehbench.runtime.fmu_child import Instance
 from ehbench.vocabulary.errors import EhbenchError, InputError
-from tests.press_fmu import A1, A2, MASS, press, press_fmu
+from tests.press_fmu import A1, A2, MASS, UNITS, press, press_fmu
 from tests.shared import refused
 
 pytest.importorskip("fmpy")
@@ -291,6 +293,26 @@ def test_what_cannot_run_is_refused(fault, change, key, place, tmp_path, monkeyp
             ehbench.run(tmp_path / f"{name}.toml", out=tmp_path / name, allow_code=True)
         assert caught.value.exit_code == 2 and "press.fmu" in str(caught.value.file), name
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("unit", "taken"), [("V", 2.0), ("mV", 2000.0), ("bar", 2.0), ("%", 2.0)])
+def test_a_command_in_another_unit_than_volts_is_its_number(unit, taken, tmp_path, monkeypatch):
+    monkeypatch.setitem(UNITS, "u", unit)  # of these the FMU defines the bar
+    press_fmu(tmp_path / "press.fmu")
+    (tmp_path / "rig.toml").write_text(RIG + MODEL)
+    model = model_of(load_rig(tmp_path / "rig.toml"))
+    assert isinstance(model, FmuModel)
+    assert model.commanded(np.array([2.0])) == pytest.approx([taken])
+
+
+@pytest.mark.parametrize("ended", ["terminateSimulation", "earlyReturn"])
+def test_a_step_of_fmi_3_that_ends_before_its_time_is_an_error(ended):
+    flags = [name == ended for name in ("event", "terminateSimulation", "earlyReturn")]
+    instance = object.__new__(Instance)
+    instance.references, instance.third, instance.count = {"commands": [], "channels": []}, True, 0
+    instance.fmu = SimpleNamespace(doStep=lambda t, step: (*flags, t), getFloat64=lambda names: [])
+    with pytest.raises(RuntimeError, match=ended):
+        instance.steps(np.zeros((2, 0)), 1e-3)
 
 
 def test_a_number_that_only_the_fmu_has_is_fitted(place, tmp_path):

@@ -170,6 +170,18 @@ def test_intervals_of_quantiles_and_shares_hold_as_often_as_they_say():
     assert some.high == pytest.approx(0.99873, abs=1e-5)
 
 
+def test_intervals_hold_where_combinations_share_what_is_drawn():
+    """Four combinations on the same 30 draws say hardly more than one."""
+    rng, held = np.random.default_rng(1), np.zeros(2)
+    for _ in range(400):
+        values = (rng.random(30) + [[0.0], [0.01], [0.02], [0.03]]).ravel()
+        found = statistics.quantile(values, 0.5, alike=4.0)
+        met = statistics.share(int((values < 0.8).sum()), 120, alike=4.0)
+        assert found.low is not None and found.high is not None
+        held += [found.low <= 0.515 <= found.high, met.low <= 0.785 <= met.high]
+    assert np.all((375 <= held) & (held <= 398))
+
+
 def test_sobol_indices_are_those_of_ishigami():
     keys, count = ("rig.a", "rig.b", "rig.c"), 1024
     spans = {key: {"low": -math.pi, "high": math.pi} for key in keys}
@@ -246,6 +258,8 @@ def test_a_summary_counts_what_came_to_its_end():
     assert speed["std"] == pytest.approx(math.sqrt(17.2 / 4.0))
     assert [q["value"] for q in speed["quantiles"][:2]] == pytest.approx([1.2, 3.0])
     assert [(t["count"], t["of"]) for t in result["targets"]] == [(3, 9), (2, 9)]
+    first = result["targets"][0]  # of three points: Clopper and Pearson's table for 1 of 3
+    assert (first["low"], first["high"]) == pytest.approx((0.0084, 0.9057), abs=1e-4)
     groups = [(g["values"]["recipe.payload"], g["samples"], g["whole"]) for g in result["groups"]]
     assert groups == [("none", 3, 3), ("50 lb", 3, 3), ("70 lb", 3, 0)]
     assert [g["targets"][0]["count"] for g in result["groups"]] == [2, 1, 0]

@@ -235,9 +235,10 @@ def _explained(
             hint = f"write [[{_header(location)}]] for each entry"
     elif kind in ("model_type", "model_attributes_type", "dict_type", "dataclass_type"):
         text = message("config.no_table", **fields)
-        keys = [name for name in _valid_keys(model, location) if name not in ("note", "title")]
-        some = ", ".join(f"{name} = …" for name in keys[:3])
-        hint = f"write {location[-1]} = {{ {some}{', …' * (len(keys) > 3)} }}"
+        named = () if kind == "dict_type" else _valid_keys(model, location)
+        keys = [name for name in named if name not in ("note", "title")]
+        some = [f"{name} = …" for name in keys[:3]] + ["…"] * (len(keys) > 3 or not keys)
+        hint = f"write {location[-1]} = {{ {', '.join(some)} }}"
     else:
         reason = first["msg"][0].lower() + first["msg"][1:]
         text = message("config.invalid", **fields, reason=reason)
