@@ -28,8 +28,8 @@ VOLUME_MARGIN = 0.02
 # ``phase`` [rad]; ``stroke`` [m]; areas [m²]; dead volumes [m³], hoses included; the oil's
 # OIL_COLUMNS; leakages C_tm, C_em1, C_em2 [m³/(s·Pa)]; ``relief_pressure`` [Pa], inf for none;
 # ``cavitation_pressure`` [Pa], −inf for none; ``stop_stiffness`` [N/m]; ``mobility`` [1/kg], the
-# largest acceleration per force on it; ``damping_rate`` [1/s], at which the damping of its joint
-# brings the lightest load to rest; the number of its law of ``friction``, where that law's
+# largest acceleration per force on it, ``joint_mobility`` [1/(kg·m²)] that of its joint per torque
+# there; the number of its law of ``friction``, where that law's
 # states stand (``friction_states`` of them from ``friction_state`` on, −1), and the columns of the
 # laws, as the rig file has them; where the deflection of its mount stands (``mount_state``, −1: it
 # has none), ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m]; where among the commands the
@@ -42,7 +42,7 @@ CYLINDER = record(
     *OIL_COLUMNS,
     *((name, "f8") for name in ("leakage_internal", "leakage_head", "leakage_rod")),
     *((name, "f8") for name in ("relief_pressure", "cavitation_pressure", "stop_stiffness")),
-    *(("mobility", "f8"), ("damping_rate", "f8")),
+    *(("mobility", "f8"), ("joint_mobility", "f8")),
     *((name, "i8") for name in ("node_head", "node_rod")),
     *((name, "i8") for name in ("friction", "friction_state", "friction_states")),
     *((name, "f8") for name in FRICTION),

@@ -204,7 +204,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": pressed * head / STOP_DEPTH,
                 "mobility": mobility,
-                "damping_rate": free * float(links[joint].damping),
+                "joint_mobility": free,
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],

@@ -60,7 +60,8 @@ def advance(y, command, plant, h, k, work, rate):
     as many parts as that rate asks for."""
     size, left, taken = y.shape[0], 1.0, 0
     for c in range(plant.cylinders.shape[0]):
-        rate = max(rate, plant.cylinders[c].damping_rate)
+        row = plant.cylinders[c]
+        rate = max(rate, row.joint_mobility * plant.links[row.joint].damping)
     if rate * h > STIFF:
         left = 1.0 * min(MOST_SUBSTEPS, math.ceil(rate * h / STIFF))
     d, maximum = h / left, MOST_SUBSTEPS / left

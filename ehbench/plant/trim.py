@@ -33,7 +33,7 @@ _IDLE = {
         *(name for name, *_ in OIL_COLUMNS),
         *("volume_head", "volume_rod", "leakage_internal", "leakage_head", "leakage_rod"),
         *("relief_pressure", "cavitation_pressure", "stop_stiffness"),
-        *("mobility", "damping_rate"),
+        *("mobility", "joint_mobility"),
     ),
     "edges": tuple(set(EDGE.names or ()) - {"law", "from_node", "to_node"}),
     "lines": tuple(set(LINE.names or ()) - {"node", "chamber", "cylinder"}),
