@@ -21,6 +21,7 @@ from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.oil import bulk_of
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
+from ehbench.preprocessing.observations import SETTINGS as OBSERVED
 from ehbench.preprocessing.observations import least_changes
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.signals.series import transients
@@ -33,7 +34,6 @@ class StepSettings:
 
     steady: float = setting(0.25, "", "largest rms of a drop, as a share", "its root is then 1 %")
     drop: float = setting(2e-3, "", "smallest drop, of the supply's pressure", "sensor errors")
-    empty: float = setting(0.5, "", "empty chamber, of cavitation pressure", "half its slope")
 
 
 SETTINGS = StepSettings()
@@ -106,7 +106,7 @@ def _steady_blocks(
         part = slice(first, first + count)
         pressure = {node: values[part] for node, values in table.items()}
         inside = [pressure[node] for node in nodes]
-        empty = SETTINGS.empty * row.cavitation_pressure
+        empty = OBSERVED.empty * row.cavitation_pressure
         if np.min(inside) < empty or np.max(inside) > row.relief_pressure:
             continue
         mean, tank = [float(weight @ item) for item in inside], float(weight @ pressure[TANK])

@@ -23,6 +23,7 @@ from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.stiffness import short_steps
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, initial_state_of
+from ehbench.preprocessing.observations import SETTINGS as OBSERVED
 from ehbench.preprocessing.observations import (
     alternatives,
     channels_asked,
@@ -56,9 +57,6 @@ BENT = ("opening", "rod_force")
 class LogSettings:
     """Which samples of a log count, and what moves in it."""
 
-    empty: float = setting(
-        0.5, "", "part of the cavitation pressure below which a chamber is empty", "half its slope"
-    )
     emptying: float = setting(
         0.05, "s", "time about an empty chamber in which samples do not count", "it fills"
     )
@@ -220,7 +218,7 @@ def _counts(
     some do not): those of an empty chamber and of a sensor at its end do not."""
     messages: list[str] = []
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
-    limit = SETTINGS.empty * float(rig.oil.cavitation_pressure)
+    limit = OBSERVED.empty * float(rig.oil.cavitation_pressure)
     ahead = round(SETTINGS.emptying / record.sample_time)
     for cylinder in rig.cylinder:
         ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]

@@ -39,6 +39,7 @@ class ObservationSettings:
     supply_off: float = setting(0.03, "", "rms error of the supply's pressure, of it", "gauges")
     clear_cycles: float = setting(1.5, "", "least cycles of a clear ringing", "else drift")
     clear_damping: float = setting(0.35, "", "largest damping of a clear ringing", "else drift")
+    empty: float = setting(0.5, "", "empty chamber, of cavitation pressure", "half its slope")
 
 
 SETTINGS = ObservationSettings()

@@ -50,6 +50,7 @@ from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
 from ehbench.identification.simulator import Effort, Log
 from ehbench.identification.uncertainty import _fitted
 from ehbench.plant.paced import AUTO
+from ehbench.preprocessing import observations
 from ehbench.preprocessing.sensors import VAGUE
 from ehbench.signals.series import Ringing, correlation_time
 from ehbench.vocabulary.errors import InputError, InsufficientData
@@ -1468,7 +1469,7 @@ SLIDE = shipped("slide_servo")
 
 def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
     """Nor does what comes just before they are seen; another cylinder's channels do."""
-    tick, limit = 0.01, simulator.SETTINGS.empty * float(SLIDE.oil.cavitation_pressure)
+    tick, limit = 0.01, observations.SETTINGS.empty * float(SLIDE.oil.cavitation_pressure)
     high = np.full(600, 1e6)
     empty = high.copy()
     empty[100] = 1.1 * limit  # gauge pressures: below it

@@ -35,6 +35,7 @@ from ehbench.identification.results import _late, _left_over, _turned
 from ehbench.ledger.bounds import SETTINGS as BOUNDS
 from ehbench.ledger.bounds import bounds
 from ehbench.plant.model import Model
+from ehbench.preprocessing import observations
 from ehbench.signals.oddities import SETTINGS as ODD
 from ehbench.signals.oddities import oddities
 from ehbench.signals.series import Ringing
@@ -766,7 +767,7 @@ ROWS = [
     (COORDINATION, "still", tip_stands, (8e-5, 1.2e-4), [True, False]),
     (GROUPS, "largest", lambda: products(0.05, 2.6) + products(0.05, 3.6),
      ["k^2/m^5", "k/m^3.48"]),
-    (step_readings.SETTINGS, "empty", blocks, (0.48, 0.52), [1, 0]),
+    (observations.SETTINGS, "empty", blocks, (0.48, 0.52), [1, 0]),
 ]  # fmt: skip
 
 test_a_third_more_or_less_shows = each_shows(ROWS)

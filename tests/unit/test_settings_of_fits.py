@@ -255,13 +255,6 @@ def moves(share):
     return simulator._moves(SLIDE.cylinder[0], log)
 
 
-def emptied(share):
-    """Samples that do not count, of a pressure that is so much of the cavitation pressure."""
-    p = np.full(100, share * float(SLIDE.oil.cavitation_pressure))
-    log = Record(np.arange(100) * 1e-3, {"press.p_head": p, "press.servo.command": np.zeros(100)})
-    return bool((~simulator._counts("log", SLIDE, log, ("press.p_head",))[0]).any())
-
-
 def known(share):
     """The error of a response of 1 whose interval is a share of it."""
     item: Any = Stub(gain=np.ones(1), gain_high=np.array([1.0 + share * frequency_domain.Z95]))
@@ -424,7 +417,6 @@ ROWS = [
     (sensitivity.SETTINGS, "first", lambda: asked_rows(760), [91, "freed"]),
     (sensitivity.SETTINGS, "quick", lambda: asked_rows(1), [72]),
     (simulator.SETTINGS, "moves", moves, (0.009, 0.011), [False, True]),
-    (simulator.SETTINGS, "empty", emptied, (0.52, 0.48), [True, False]),
     (frequency_domain.SETTINGS, "known", known, (0.0, 0.5), [0.01, 0.5]),
     (transfer.SETTINGS, "close", preferred, (0.9, 1.1), ["first order", "two poles"]),
     (transfer.SETTINGS, "spread", lambda: begun("two poles")[0], 4.0),
