@@ -38,8 +38,8 @@ class Frames:
         self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
         self._came: set[int] = set()  # since the last vector
 
-    def send(self, bus, numbers: np.ndarray) -> None:
-        """Send a vector; numbers that it lacks are 0.
+    def encode(self, numbers: np.ndarray) -> list[Any]:
+        """The frames of a vector; numbers that it lacks are 0.
 
         Raises:
             InputError: one that its signal cannot hold.
@@ -47,7 +47,7 @@ class Frames:
         import can
         import cantools
 
-        whole = np.zeros(len(self.signals))
+        frames, whole = [], np.zeros(len(self.signals))
         whole[: numbers.size] = numbers
         for number, frame in self.messages.items():
             places = ((s.name, self.signals.get(s.name)) for s in frame.signals)
@@ -58,7 +58,8 @@ class Frames:
                 problem = message("links.no_room", name=frame.name, why=str(error))
                 raise InputError(problem) from error
             extended = frame.is_extended_frame
-            bus.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
+            frames.append(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
+        return frames
 
     def take(self, frame) -> np.ndarray | None:
         """The vector that a frame completes; None of one of whose frames was lost, as a number of
@@ -114,10 +115,15 @@ class CanLink:
         self._up, self._down = (Frames(w, n, path) for w, n in zip(FRAMES, names, strict=True))
         self._bus, self._error = open_bus(interface, channel), can.CanError
 
+    def encode(self, numbers: np.ndarray) -> list[Any]:
+        """As `Link.encode`."""
+        return self._down.encode(numbers)
+
     def send(self, numbers: np.ndarray) -> None:
         """As `Link.send`; what the bus does not take is lost."""
         with suppress(self._error):
-            self._down.send(self._bus, numbers)
+            for frame in self.encode(numbers):
+                self._bus.send(frame)
 
     def receive(self, timeout: float) -> list[np.ndarray]:
         """As `Link.receive`."""
@@ -154,5 +160,6 @@ def serve(
                     continue
                 target.receive(datagram_of(numbers, target), time.monotonic())
             if datagram := target.tick(time.monotonic()):
-                up.send(bus, np.frombuffer(datagram, "<f8"))
+                for frame in up.encode(np.frombuffer(datagram, "<f8")):
+                    bus.send(frame)
             due = max(due + 1.0 / target.rate, time.monotonic() - 0.1)

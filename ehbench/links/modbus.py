@@ -117,12 +117,16 @@ class ModbusLink:
         self._client = ModbusTcpClient(host, port=port, timeout=PATIENCE, retries=0)
         self._last, self._came = -1.0, []
 
-    def send(self, numbers: np.ndarray) -> None:
-        """As `Link.send`: one round trip."""
+    def encode(self, numbers: np.ndarray) -> list[int]:
+        """As `Link.encode`; numbers that it lacks are 0."""
         whole = np.zeros(len(self._down.names))
         whole[: numbers.size] = numbers
+        return self._down.encode(whole)
+
+    def send(self, numbers: np.ndarray) -> None:
+        """As `Link.send`: one round trip."""
         where = {"read_address": self._up.first, "read_count": self._up.count}
-        values = self._down.encode(whole)
+        values = self.encode(numbers)
         self._call("readwrite_registers", **where, write_address=self._down.first, values=values)
 
     def _call(self, name: str, **keys: Any) -> None:

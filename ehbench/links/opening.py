@@ -11,11 +11,11 @@ import numpy as np
 
 from ehbench.config.recipe.toml import read_text, table_of, validated
 from ehbench.links.buffered import BufferedLink, CardMachine
-from ehbench.links.client import LinkMachine
+from ehbench.links.client import TOKENS, LinkMachine
 from ehbench.links.daq import LabJackCard, NiCard
 from ehbench.links.layout import Layout, Mode
 from ehbench.links.responder import HEADER
-from ehbench.links.transport import Link, UdpLink
+from ehbench.links.transport import LAYOUT, SEQUENCE, TOKEN, Link, UdpLink
 from ehbench.machines.protocol import Machine
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary import InputError, message
@@ -125,12 +125,22 @@ def open_machine(prepared: Prepared, url: str) -> Machine:
     """The machine at the other end of a URL, for a prepared trial.
 
     Raises:
-        InputError: as `Address.of` and `Address.link`.
+        InputError: as `Address.of` and `Address.link`; a command of the trial's valves, or its
+            length, that the link cannot hold.
     """
     address, layout, name = Address.of(url), Layout.of(prepared.rig), f"machine at {url}"
     if address.scheme not in CARDS:
         kind = BufferedLink if address.mode == "buffered" else LinkMachine
-        return kind(prepared, layout, address.link(layout), address.mode, name)
+        link, header, commands = address.link(layout), np.zeros(len(HEADER)), layout.commands
+        header[[LAYOUT, TOKEN, SEQUENCE]] = TOKENS - 1, TOKENS - 1, prepared.t.size
+        ends = (commands.lowest, commands.highest) if address.mode == "stream" else ()
+        try:  # before anything moves
+            for values in (np.empty(0), *ends):
+                link.encode(np.concatenate([header, values]))
+        except InputError:
+            link.close()
+            raise
+        return kind(prepared, layout, link, address.mode, name)
     assert address.map is not None  # `Address.of` sees to it
     text, machine = read_text(address.map), prepared.machine
     known = validated(CardMap, table_of(text, address.map), text, address.map)

@@ -4,7 +4,7 @@ clock."""
 import math
 import socket
 import time
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,6 +22,13 @@ class Link(Protocol):
     """
 
     virtual: bool
+
+    def encode(self, numbers: np.ndarray) -> Any:
+        """Header and values as they are sent.
+
+        Raises:
+            InputError: one that the link cannot hold."""
+        ...
 
     def send(self, numbers: np.ndarray) -> None:
         """Send header and values."""
@@ -54,10 +61,14 @@ class UdpLink:
             self._socket.close()
             raise
 
+    def encode(self, numbers: np.ndarray) -> bytes:
+        """As `Link.encode`; every number has room."""
+        return numbers.astype("<f8").tobytes()
+
     def send(self, numbers: np.ndarray) -> None:
         """As `Link.send`; a target that is not there, or no longer, is no error."""
         try:
-            self._socket.send(numbers.astype("<f8").tobytes())
+            self._socket.send(self.encode(numbers))
         except OSError:
             time.sleep(1e-3)
 

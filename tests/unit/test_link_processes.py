@@ -13,7 +13,6 @@ import threading
 import time
 from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -264,12 +263,8 @@ def test_a_vector_of_which_a_frame_was_lost_does_not_count(tmp_path):
     (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
     names = (*LAYOUT.channels, *(f"{name}.command" for name in LAYOUT.commands.names), *HEADER)
 
-    class Bus(list):
-        send = list.append
-
     def frames(offset):
-        Frames("up", names, dbc).send(bus := Bus(), np.arange(len(names)) + offset)
-        return bus
+        return Frames("up", names, dbc).encode(np.arange(len(names)) + offset)
 
     def taken(lost, first=names):
         """The first number of each vector that counts, of five whose frames ``lost`` are lost."""
@@ -309,10 +304,7 @@ def test_frames_that_are_none_of_the_vector_change_nothing(tmp_path):
     numbers = np.arange(len(names)) + 1.0
     numbers[names.index("state")] = RUNNING
 
-    class Bus(list):
-        send = list.append
-
-    Frames("up", names, dbc).send(sent := Bus(), numbers)
+    sent = Frames("up", names, dbc).encode(numbers)
     with closing(link), other:
         for message in bad:
             for frame in (sent[0], message, *sent[1:]):
@@ -357,15 +349,12 @@ def test_a_link_of_headers_alone_sends_and_counts_all_frames(tmp_path):
     (dbc,) = write_files(layout, 100.0, "dbc", tmp_path)
     up, down = layout.names("stream")
 
-    class Bus(list):
-        send = list.append
-
-    Frames("down", HEADER, dbc).send(bus := Bus(), np.arange(len(HEADER)) + 1.0)
+    bus = Frames("down", HEADER, dbc).encode(np.arange(len(HEADER)) + 1.0)
     target = Frames("down", down, dbc)
     (taken,) = [item for frame in bus if (item := target.take(frame)) is not None]
     assert taken[: len(HEADER)].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
 
-    Frames("up", up, dbc).send(bus := Bus(), np.arange(len(up)) + 1.0)
+    bus = Frames("up", up, dbc).encode(np.arange(len(up)) + 1.0)
     for lost in range(len(bus)):
         link = Frames("up", HEADER, dbc)
         assert all(link.take(f) is None for k, f in enumerate(bus) if k != lost), lost
@@ -404,12 +393,38 @@ def test_a_number_that_its_register_or_signal_cannot_hold_is_named(tmp_path):
     lines = dbc.read_text().replace("32|32@1- (1,0)", "32|16@1- (1,0)").splitlines()
     dbc.write_text("\n".join(line for line in lines if "down_sequence : 1;" not in line))
     down = Frames("down", LAYOUT.names("stream")[1], dbc)
-    numbers, bus = np.zeros(len(HEADER)), SimpleNamespace(send=lambda frame: None)
+    numbers = np.zeros(len(HEADER))
     for number in (2.0**15, math.nan):
         numbers[SEQUENCE] = number
-        for encode in (up.encode, lambda numbers: down.send(bus, numbers)):
+        for encode in (up.encode, down.encode):
             with refused("links.no_room", InputError):
                 encode(numbers)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "command", "fits"),
+    [("float32", "int16", True), ("float32", "int8", False), ("int8", "int16", False)],
+)
+def test_registers_too_narrow_for_a_trial_are_refused_before_it(
+    tmp_path, trial, sequence, command, fits
+):
+    """10 V in steps of 10 mV are 1000, and the trial has more than 127 ticks."""
+    pytest.importorskip("pymodbus")
+    narrow = {"int8": ("int16", 1 / 256), "int16": ("int16", 1.0), "float32": ("float32", 1.0)}
+    down = {name: ("float32", 1.0) for name in HEADER} | {"sequence": narrow[sequence]}
+    kind, scale = narrow[command]
+    down["press.servo.command"] = (kind, 0.01 * scale)
+    text = "".join(
+        f'{way}."{name}" = {{ address = {2 * i}, type = "{of[0]}", scale = {of[1]!r} }}\n'
+        for way, places in (("up", {name: ("float32", 1.0) for name in HEADER}), ("down", down))
+        for i, (name, of) in enumerate(places.items())
+    )
+    (tmp_path / "map.toml").write_text(text)
+    url = f"modbus://127.0.0.1:9?map={tmp_path / 'map.toml'}"
+    if fits:
+        return open_machine(prepared(trial), url).close()
+    with refused("links.no_room", InputError):
+        open_machine(prepared(trial), url)
 
 
 def answers_of(server, *wrong):

@@ -116,9 +116,13 @@ class VirtualLink:
     def __init__(self, target: Target) -> None:
         self.target, self._clock, self._waiting = target, VirtualClock(target), b""
 
+    def encode(self, numbers: np.ndarray) -> bytes:
+        """As `Link.encode`."""
+        return numbers.astype("<f8").tobytes()
+
     def send(self, numbers: np.ndarray) -> None:
         """As `Link.send`."""
-        self._waiting = self._clock.answer(numbers.astype("<f8").tobytes())
+        self._waiting = self._clock.answer(self.encode(numbers))
 
     def receive(self, timeout: float) -> list[np.ndarray]:
         """As `Link.receive`, at once."""
