@@ -537,7 +537,7 @@ def _warnings(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
                 count=int(rows.sum()),
                 command=r.show.volts(r.command[rows].mean()),
                 drop=r.show.drop(r.drop[rows].mean()),
-                off=r.q[rows].mean() / (r.rated * solution.flow[rows].mean()) - 1.0,
+                off=float(np.mean((r.y - solution.flow)[rows])),
             )
     far = int(np.count_nonzero(result.keep & (np.abs(result.sigmas) > outlier)))
     if far > SETTINGS.far * result.sigmas.size:

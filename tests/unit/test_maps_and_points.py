@@ -373,11 +373,11 @@ def test_flows_are_held_against_the_gain_of_the_rig_file(gains, ratio):
     assert tables.gain_ratio(edge, rows) == 1.0
 
 
-def test_readings_that_stand_alone_are_off_by_their_share_of_the_map():
+def test_readings_that_stand_alone_are_off_by_their_share_of_the_rated_flow():
     show: Any = Stub(volts=lambda value: value, drop=lambda value: value)
-    r: Any = Stub(cell=np.array([0, 0, 1, 1, 2]), q=1e-4 * np.array([1.0, 1.0, 3.0, 3.4, 9.0]))
+    r: Any = Stub(cell=np.array([0, 0, 1, 1, 2]), y=0.1 * np.array([1.0, 1.0, 3.0, 3.4, 9.0]))
     r.command, r.drop = np.array([1.0, 1.0, 2.0, 2.2, 3.0]), np.array([1e6] * 2 + [3e6] * 3)
-    r.rated, r.show = 1e-3, show
+    r.show = show
     solution = Stub(lone=np.array([False, True, True]), flow=np.full(5, 0.4), widening=1.0)
     keep = np.array([True, True, True, True, False])
     result: Any = Stub(readings=r, solution=solution, keep=keep, sigmas=np.zeros(5))
@@ -386,7 +386,7 @@ def test_readings_that_stand_alone_are_off_by_their_share_of_the_map():
     (note,) = results._warnings(result, quiet)
     told: Any = note
     assert told.key == "flow_maps.lone_cell" and told.fields["count"] == 2
-    assert told.fields["off"] == pytest.approx(-0.2)
+    assert told.fields["off"] == pytest.approx(-0.08)
     assert (told.fields["command"], told.fields["drop"]) == pytest.approx((2.1, 3e6))
 
 
