@@ -223,7 +223,16 @@ def prepare_signals(
         fields = {"channel": names[0], "level": pairs[0][0][0]}
         raise InsufficientData(message("frequency_response.constant_input", **fields))
     signals = signals_of(pairs, rates[0], choice)
+    if choice.window == "hann" and all(_repeats(x, signals.size) for x, _ in pairs):
+        fields = {"input": names[0], "segment": signals.size / signals.rate}
+        warnings.append(message("frequency_response.repeats", **fields))
     return replace(signals, warnings=tuple(warnings))
+
+
+def _repeats(x: np.ndarray, size: int) -> bool:
+    """Whether an input is the same some samples later, all along, but for a drift."""
+    change = x[size:] - x[:-size]
+    return not change.size or float(np.var(change)) <= SETTINGS.no_power * float(np.var(x))
 
 
 def signals_of(

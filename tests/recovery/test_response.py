@@ -152,6 +152,8 @@ def test_a_drift_beside_an_input_that_repeats_is_no_answer(window):
     x = sum(np.sin(2 * math.pi * f * t + f**2) for f in lines)
     record = Record(t, dict(zip(NAMES, (x + 0.3 * t, 0.5 * x - 0.1 * t), strict=True)))
     found = estimate(signals(("drift", record), segment=2.0, window=window))
+    keys = [note.key for note in found.warnings]
+    assert ("frequency_response.repeats" in keys) is (window == "hann")
     at = np.isin(found.frequency, lines)
     np.testing.assert_allclose(found.gain[at], 0.5, rtol=1e-9)
     np.testing.assert_allclose(found.phase[at] - found.phase[at][0], 0.0, atol=1e-9)
