@@ -369,14 +369,15 @@ def compare_runs(_: Says, first: Path, second: Path) -> tuple[Answer, int]:
 )
 def next_test(
     says: Says, run: Path, name: str | None, out: Path | None, allow_code: bool
-) -> Answer:
-    """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
+) -> tuple[Answer, int]:
+    """Propose the test that would sharpen a fitted parameter most, with the interval to expect;
+    exit 3 where the run or what it was made from has changed."""
     from ehbench import workflow
 
     _say_first(says.quiet)
     with _session(says.quiet, out=out, allow_code=allow_code) as session:
         result = workflow.next_test(run, name, session)
-    return result.answer(run, out)
+    return result.answer(run, out), 3 if result.changes else 0
 
 
 @_command(

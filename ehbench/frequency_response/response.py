@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.data.record import Record
+from ehbench.preprocessing.plausibility import at_limit
 from ehbench.preprocessing.time_base import SETTINGS as TIME
 from ehbench.preprocessing.time_base import evened
 from ehbench.signals.series import stretches_of
-from ehbench.vocabulary import Z95, InputError, InsufficientData, Message, message, setting
+from ehbench.vocabulary import Z95, InputError, InsufficientData, Message, listed, message, setting
 
 
 @dataclass(frozen=True)
@@ -123,9 +124,9 @@ class Response:
             "coherent": int(self.coherent.sum()),
             "coherent_range": [shown.min(), shown.max()],
             "coherence_noise": self.noise,
-            "delay": _as_json(self.delay),
-            "bandwidth": _as_json(self.bandwidth),
-            "quadrature": _as_json(self.quadrature),
+            "delay": _as_json(self.delay, "s"),
+            "bandwidth": _as_json(self.bandwidth, "Hz"),
+            "quadrature": _as_json(self.quadrature, "Hz"),
         }
 
     def table(self, unit: str) -> str:
@@ -175,10 +176,10 @@ class Curve:
         )
 
 
-def _as_json(estimate: Estimate | None) -> dict[str, Any] | None:
+def _as_json(estimate: Estimate | None, unit: str) -> dict[str, Any] | None:
     if estimate is None:
         return None
-    return {"value": estimate.value, "interval": [estimate.low, estimate.high]}
+    return {"value": estimate.value, "interval": [estimate.low, estimate.high], "unit": unit}
 
 
 def prepare_signals(
@@ -196,10 +197,23 @@ def prepare_signals(
         InputError: logs of different rates.
         InsufficientData: the logs are too short, or the input does not move."""
     warnings, pairs, rates = [], [], []
+    driven = [
+        name
+        for name, record in logs
+        if record.meta.get("controller", "open_loop") != "open_loop"
+        and names[0].startswith(f"{record.meta.get('cylinder')}.")
+        and names[0].endswith(".command")
+    ]
+    if driven:
+        fields = {"input": names[0], "logs": listed(driven, 3)}
+        warnings.append(message("frequency_response.closed_loop", **fields))
     for name, record in logs:
         x, y = (record[channel] for channel in names)
         record, notes = evened(name, Record(record.t, dict(zip(names, (x, y), strict=True))))
         warnings += [f"{name}: {text}" for text in notes]
+        if share := 100.0 * float(np.mean(at_limit(y))):
+            fields = {"log": name, "channel": names[1], "share": share}
+            warnings.append(message("frequency_response.limited", **fields))
         pairs.append((record[names[0]], record[names[1]]))
         rates.append(float(f"{1.0 / record.sample_time:.9g}"))
     if max(rates) > (1.0 + TIME.even) * min(rates):
@@ -209,7 +223,16 @@ def prepare_signals(
         fields = {"channel": names[0], "level": pairs[0][0][0]}
         raise InsufficientData(message("frequency_response.constant_input", **fields))
     signals = signals_of(pairs, rates[0], choice)
+    if choice.window == "hann" and all(_repeats(x, signals.size) for x, _ in pairs):
+        fields = {"input": names[0], "segment": signals.size / signals.rate}
+        warnings.append(message("frequency_response.repeats", **fields))
     return replace(signals, warnings=tuple(warnings))
+
+
+def _repeats(x: np.ndarray, size: int) -> bool:
+    """Whether an input is the same some samples later, all along, but for a drift."""
+    change = x[size:] - x[:-size]
+    return not change.size or float(np.var(change)) <= SETTINGS.no_power * float(np.var(x))
 
 
 def signals_of(
@@ -324,7 +347,8 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     total = np.zeros((3, transform.f_pts), complex)
     for pair, count in zip(signals.pairs, signals.segments, strict=True):
         if count:
-            x, y = (transform.stft_detrend(item, p1=count, **where) for item in pair)
+            level = (_levelled(item, size, size - signals.overlap, count) for item in pair)
+            x, y = (transform.stft_detrend(item, p1=count, **where) for item in level)
             for i, density in enumerate((_power(x), _power(y), y * np.conj(x))):
                 total[i] += count * np.mean(density, axis=-1)
     total[:, 1 : -1 if size % 2 == 0 else None] *= 2.0
@@ -335,6 +359,14 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
         raise InsufficientData(message("frequency_response.no_frequency", **fields))
     gxx, gyy, gxy = total[:, retained] / sum(signals.segments)
     return frequency[retained], gxx.real, gyy.real, gxy
+
+
+def _levelled(values: np.ndarray, size: int, step: int, count: int) -> np.ndarray:
+    """Values without the line through the means of their segments: a drift repeats with an input
+    that repeats, and no coherence would show it."""
+    means = np.lib.stride_tricks.sliding_window_view(values, size)[::step][:count].mean(axis=-1)
+    k = np.arange(count) - 0.5 * (count - 1)
+    return values - (k @ means / max(k @ k, 1.0) / step) * np.arange(values.size)
 
 
 def _power(transformed: np.ndarray) -> np.ndarray:

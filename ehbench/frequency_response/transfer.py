@@ -113,9 +113,12 @@ def transfers(pairs: Pairs, rate: float, held: bool = False) -> tuple[Transfer, 
 
 
 def notes_of(forms: Sequence[Transfer]) -> tuple[Message, ...]:
-    """What a reader of fitted forms must know of the first: an output that is surely ahead."""
+    """What a reader of fitted forms must know of the first: that there is none, or that the output
+    is surely ahead."""
     first = next(iter(forms), None)
-    if first is None or first.delay is None or first.delay_std is None:
+    if first is None:
+        return (message("frequency_response.no_form"),)
+    if first.delay is None or first.delay_std is None:
         return ()
     sure = first.delay + Z95 * first.delay_std < 0.0
     fields = {"early": -1e3 * first.delay, "error": 1e3 * Z95 * first.delay_std}

@@ -82,9 +82,8 @@ def _numbers(file: str, value: Any, where: list[str]) -> Iterator[NamedResult]:
         whole = value.get("value")
         if _is_number(whole):
             ends = value.get("interval") or [value.get("low"), value.get("high")]
-            yield NamedResult(
-                file, ".".join(where), whole, _unit_of(value, where), _pair(ends), about
-            )
+            unit = unit if isinstance(unit := about.get("unit"), str) else _unit_of({}, where)
+            yield NamedResult(file, ".".join(where), whole, unit, _pair(ends), about)
         for key, inside in value.items():
             if key in ("value", "correlation") or key.endswith("interval"):
                 continue
@@ -92,7 +91,7 @@ def _numbers(file: str, value: Any, where: list[str]) -> Iterator[NamedResult]:
                 yield from _numbers(file, inside, [*where, key])
             elif not _is_number(whole):
                 ends, path = _pair(value.get(f"{key}_interval")), ".".join([*where, key])
-                yield NamedResult(file, path, inside, _unit_of({}, [*where, key]), ends, about)
+                yield NamedResult(file, path, inside, _unit_of(value, [*where, key]), ends, about)
     elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
         outer = where if where[-1:] != ["parameters"] else where[:-1]
         for index, item in enumerate(value):
@@ -105,10 +104,16 @@ def _is_number(value: Any) -> TypeGuard[bool | int | float]:
 
 
 def _unit_of(table: Mapping[str, Any], where: Sequence[str]) -> str:
-    if isinstance(table.get("unit"), str):
-        return table["unit"]
-    rows = (VOCABULARY.get(word) for word in where[:-3:-1])  # its own, else its table's
-    return next((row.unit for row in rows if row), "")
+    """The unit of a number in a ``table``: that of its own name, else of the table's, unless the
+    table is a row of what it is named by; none of a channel's, whose table says what it is."""
+    *above, own = where or [""]
+    if "." in own:
+        return ""
+    if any(word.endswith("_percent") for word in [*above, own]):
+        return "%"
+    heads = [table.get(key) for key in _NAMES]
+    words = [own, *(word for word in above[-1:] if word not in heads)]
+    return next((VOCABULARY[word].unit for word in words if word in VOCABULARY), "")
 
 
 def _pair(value: Any) -> tuple[float, float] | None:
@@ -248,11 +253,12 @@ def _value_text(run: Saved, result: NamedResult) -> str:
     """The number with its interval, in the rig's units if it is one of the rig's parameters."""
     if isinstance(result.value, bool):
         return str(result.value).lower()
-    values, unit = [result.value, *(result.interval or ())], result.unit
-    if unit and row_of(result.path).unit == unit and run.has_rig:
+    values, unit, path = [result.value, *(result.interval or ())], result.unit, result.path
+    path = path if row_of(path).unit == unit else path.rpartition(".")[0]  # its table's unit
+    if unit and row_of(path).unit == unit and run.has_rig:
         with suppress(EhbenchError):  # in SI without a rig that can be read
-            values = [shown(run.rig, result.path, value) for value in values]
-            unit = unit_of(run.rig, result.path)
+            values = [shown(run.rig, path, value) for value in values]
+            unit = unit_of(run.rig, path)
     value, *ends = values
     text = estimate(value, *ends) if ends else number(value)
     text = " ".join(part for part in (text, pretty(unit)) if part)

@@ -17,11 +17,11 @@ METHODS: Mapping[str, int] = {
     "flow_maps": 11,
     "output_error": 12,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
-    "frequency_response": 2,
+    "frequency_response": 3,
     "diagnosis": 13,
-    "validation": 10,
+    "validation": 11,
     "control": 3,  # controllers and their monitor
-    "tuning": 3,
+    "tuning": 4,
     "trial": 2,  # the loop and what is measured of it
     "ledger": 3,
     "sampling": 2,  # designs of studies and their statistics
@@ -34,7 +34,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (3, (*_SIMULATED, "flow_maps")),
     "hydraulics": (3, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
-    "response": (2, (*_SIMULATED, "frequency_response")),
+    "response": (3, (*_SIMULATED, "frequency_response")),
     "validation": (6, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (3, ("plant", "control", "tuning")),

@@ -9,7 +9,7 @@ from ehbench.config.rig import Rig
 from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose, widest
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
-from ehbench.report.provenance import TracedRun
+from ehbench.report.provenance import TracedRun, unsupported
 from ehbench.report.terminal import Answer
 from ehbench.report.words import interval, number, pretty, shown, unit_of, with_interval
 from ehbench.runs import rundir
@@ -19,17 +19,19 @@ from ehbench.stages.base import DONE, Host, Outcome, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage, expect_hydraulics
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.relocation import relative
-from ehbench.vocabulary import InputError, Progress, message
+from ehbench.vocabulary import InputError, Message, Progress, message
 
 
 @dataclass(frozen=True)
 class NextTest:
-    """Tests that would sharpen a parameter, the best first; ``rig_file``: what a recipe names."""
+    """Tests that would sharpen a parameter, the best first; ``rig_file``: what a recipe names;
+    ``changes``: what no longer supports the run."""
 
     rig: Rig
     known: Known
     proposals: tuple[Proposal, ...]
     rig_file: Path
+    changes: tuple[Message, ...]
 
     def answer(self, run: Path, written: Path | None) -> Answer:
         """What the command says of the ``run`` of a fit; ``written`` is the recipe of the first
@@ -37,7 +39,8 @@ class NextTest:
         name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
         now = self._text(self.known.interval)
         then = self._text(self.proposals[0].interval)
-        verdict = message("stages.next_test", name=name, now=now, then=then, unit=unit)
+        key = "stages.next_test_changed" if self.changes else "stages.next_test"
+        verdict = message(key, name=name, now=now, then=then, unit=unit)
         head = ["cylinder", "test", "amplitude [V]", "starts at [mm]", "payload"]
         head += [f"95 % interval then [{unit}]" if unit else "95 % interval then", "of now"]
         rows = [
@@ -56,7 +59,10 @@ class NextTest:
         step = message("steps.write_test", run=run, parameter=name, options=options)
         if written is not None:
             step = message("steps.run_test", recipe=written, options=options)
-        return Answer(verdict, [Grid(head, rows)], [step], place=written, values=self.as_json())
+        notes = [message("report.unsupported", change=change) for change in self.changes]
+        return Answer(
+            verdict, [Grid(head, rows)], [step], notes, place=written, values=self.as_json()
+        )
 
     def _shown(self, value: float) -> float:
         return shown(self.rig, self.known.name, value)
@@ -77,7 +83,7 @@ class NextTest:
             test["commands"] = [dict(entry) for entry in trial.commands]
             tests.append(test | {"interval": proposal.interval, "share": proposal.share})
         known = {name: getattr(self.known, name) for name in ("name", "value", "interval")}
-        return {**known, "tests": tests}
+        return {**known, "tests": tests, "changes": self.changes}
 
     def write(self, path: Path) -> Path:
         """The first test as the recipe of a trial on the virtual bench.
@@ -172,4 +178,5 @@ def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | 
     name = name or widest(known, prepared.fit.search)
     proposals = propose(prepared.fit, known, name, progress)
     rig_file = next(item.place for item in run.sources if item.role == "rig") or run.folder
-    return NextTest(run.run.rig, fitted[name], tuple(proposals), rig_file)
+    changes = tuple(unsupported(run.folder))
+    return NextTest(run.run.rig, fitted[name], tuple(proposals), rig_file, changes)

@@ -99,7 +99,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         signals = prepared.signals
         held = recipe.input.endswith(".command")
         forms = transfers(signals.pairs, signals.rate, held) if recipe.transfer else ()
-        warnings = (*result.warnings, *notes_of(forms))
+        warnings = (*result.warnings, *(notes_of(forms) if recipe.transfer else ()))
         unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
         table = {
             "input": recipe.input,

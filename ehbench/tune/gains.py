@@ -14,8 +14,8 @@ import numpy as np
 from ehbench.config.recipe import TuneRecipe
 from ehbench.control.functions import HEAD, METERED
 from ehbench.tune.draws import Correlation, robustness
+from ehbench.tune.linear import AT_ZERO
 from ehbench.tune.loop import (
-    AT_ZERO,
     Law,
     Loop,
     dominant,

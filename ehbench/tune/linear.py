@@ -7,6 +7,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from ehbench.parts.valve import valve_rates
 from ehbench.plant.model import Model
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint, hoses_of
 
+AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 # a cylinder's further states, and that of a supply that feels it
 PART_STATES = ("p_line_head", "p_line_rod", "p_supply", "sway", "sway_speed", "mount_deflection")
 
@@ -37,6 +39,13 @@ class LinearModel:
     b: np.ndarray
     e: np.ndarray
     fastest: float = math.inf
+
+    @cached_property
+    def swing(self) -> float:
+        """Natural frequency [rad/s] of its least damped poles but those at zero."""
+        poles = np.linalg.eigvals(self.a)
+        poles = poles[np.abs(poles) > AT_ZERO * np.abs(poles).max()]
+        return float(np.abs(poles[np.argmax(poles.real / np.abs(poles))]))
 
 
 class ValveBlock(NamedTuple):

@@ -11,13 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from ehbench.control.functions import HEAD, METERED, PATH_FLOWS, RAISED, Circuit, coupled
-from ehbench.tune.linear import LinearModel, are_rates, first_valve, write_delay
+from ehbench.tune.linear import AT_ZERO, LinearModel, are_rates, first_valve, write_delay
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint
 from ehbench.tune.results import Margins
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.vocabulary.codes import FUNCTIONS
-
-AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 
 
 @dataclass(frozen=True)
@@ -116,6 +114,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     scale[:size] = _sizes(linear.states)
     ratio = scale / scale[:, None]
     fastest = min(2.5 / law.delay if fixed else math.inf, linear.fastest)
+    fastest = math.inf if linear.swing > fastest else fastest  # what swings counts in any case
     return Loop(
         a * ratio,
         put @ direct / scale,

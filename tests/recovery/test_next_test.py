@@ -96,3 +96,12 @@ def test_what_cannot_be_planned_is_refused_with_a_sentence(place, tmp_path):
     rundir.write_json(changed / "volatile.json", said)
     with pytest.raises(InputError, match="has changed since"):
         workflow.next_test(changed)
+
+
+def test_a_run_that_was_edited_since_says_so(place, tmp_path):
+    assert not workflow.next_test(place / "fit", "bulk_modulus").changes
+    edited = shutil.copytree(place / "fit", tmp_path / "fit")
+    with (edited / "parameters.json").open("a", encoding="utf-8") as file:
+        file.write("\n")
+    (change,) = workflow.next_test(edited, "bulk_modulus").changes
+    assert change.key == "report.output_changed" and change.fields["file"] == "parameters.json"

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -144,9 +145,51 @@ def test_frequencies_without_power_or_coherence_are_told():
     assert "frequency_response.low_coherence" in [note.key for note in noisy.warnings]
 
 
+@pytest.mark.parametrize("window", ["hann", "boxcar"])
+def test_a_drift_beside_an_input_that_repeats_is_no_answer(window):
+    """Lines of 2 s, and an output that drifts in a segment by a tenth of what it swings."""
+    t, lines = np.arange(16_000) / RATE, np.arange(2, 20, 2)
+    x = sum(np.sin(2 * math.pi * f * t + f**2) for f in lines)
+    record = Record(t, dict(zip(NAMES, (x + 0.3 * t, 0.5 * x - 0.1 * t), strict=True)))
+    found = estimate(signals(("drift", record), segment=2.0, window=window))
+    keys = [note.key for note in found.warnings]
+    assert ("frequency_response.repeats" in keys) is (window == "hann")
+    at = np.isin(found.frequency, lines)
+    np.testing.assert_allclose(found.gain[at], 0.5, rtol=1e-9)
+    np.testing.assert_allclose(found.phase[at] - found.phase[at][0], 0.0, atol=1e-9)
+
+
 def test_a_delay_that_is_long_for_the_segment_is_told():
     found = estimate(signals(delayed(1, 40, 0.01), segment=0.2, frequency=100.0))
     assert "frequency_response.late" in [note.key for note in found.warnings]
+
+
+def test_a_command_that_a_controller_set_is_told():
+    """Of the controller's own cylinder, and of no other nor of an open loop."""
+    for cylinder, controller, count in (
+        ("boom", "arc", 1),
+        ("stick", "arc", 0),
+        ("boom", "open_loop", 0),
+    ):
+        name, record = log(1)
+        meta = {"cylinder": cylinder, "controller": controller}
+        keys = [note.key for note in signals((name, replace(record, meta=meta))).warnings]
+        assert keys == ["frequency_response.closed_loop"] * count
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_an_output_cut_at_the_end_of_its_range_is_told(share):
+    """A count of a fiftieth of what it swings is no such end."""
+    name, record = log(1, noise=0.0)
+    y = record[NAMES[1]]
+    y = np.round(y / (0.02 * y.std())) * 0.02 * y.std()
+    cut = replace(
+        record, channels={**record.channels, NAMES[1]: np.minimum(y, np.quantile(y, 1.0 - share))}
+    )
+    notes = signals((name, cut)).warnings
+    assert [note.key for note in notes] == ["frequency_response.limited"] * (share > 0.0)
+    for note in notes:
+        assert note.fields["share"] == pytest.approx(100.0 * share, rel=0.2)
 
 
 def still(name, record):
@@ -306,6 +349,10 @@ def test_a_lack_of_fit_widens_the_intervals_of_the_preferred_form(ratio, delay):
         assert value is not None and std is not None and abs(value - true) < 1.96 * std
     assert best.natural_frequency_std is not None and best.natural_frequency is not None
     assert best.natural_frequency_std < 0.02 * best.natural_frequency
+
+
+def test_that_no_form_follows_is_told():
+    assert [note.key for note in notes_of(())] == ["frequency_response.no_form"]
 
 
 def test_an_output_ahead_of_its_input_is_said_by_the_slope():

@@ -241,6 +241,33 @@ def test_the_least_damped_pole_counts_unless_it_is_at_zero_or_fast_and_stable():
     assert dominant(np.array([-9.0, real])) == real
 
 
+def test_a_swing_beyond_the_reach_of_the_delays_form_counts(unlocused):
+    """A mass of 0.4 kg swings where the spool no longer follows: the poles are those of the oil on
+    passages that stand still, from the equations of v and both pressures."""
+    light = rig("slide_servo", **{"carriage.mass": 0.4, "carriage.damping": 50.0})
+    found = gains(light, recipe(payloads=("none",)))
+    gain, stiff, ratios = 2.4e-3 / 60.0 / 1e3, 900e6, []
+    head = math.pi / 4.0 * 0.05**2
+    rod = head - math.pi / 4.0 * 0.028**2
+    for point in (result.point for result in found.points if result.counts):
+        drops = (14e6 - point.p_head, point.p_rod - 2e5)
+        if point.v < 0.0:
+            drops = (point.p_head - 2e5, 14e6 - point.p_rod)
+        volts = head * abs(point.v) / (gain * math.sqrt(drops[0]))
+        leaks = [0.5 * gain * volts / math.sqrt(drop) for drop in drops]
+        ends = (150e-6 + head * point.x) / stiff, (700e-6 - rod * point.x) / stiff
+        state = [
+            [-50.0 / 0.4, head / 0.4, -rod / 0.4],
+            [-head / ends[0], -leaks[0] / ends[0], 0.0],
+            [rod / ends[1], 0.0, -leaks[1] / ends[1]],
+        ]
+        poles = np.linalg.eigvals(np.array(state))
+        ratios.append(float(np.min(-poles.real / np.abs(poles))))
+    assert max(ratios) < 0.1 and not found.met
+    assert found.damping_ratio_open == pytest.approx(min(ratios), rel=0.05)
+    assert found.damping_ratio < 1.5 * min(ratios)
+
+
 def test_strokes_are_as_given_or_evenly_between_the_ends():
     rig = shipped("boom_four_valve")
     asked = lambda **given: study_module._strokes(rig, SimpleNamespace(**given), 0.5).tolist()

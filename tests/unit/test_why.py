@@ -242,7 +242,32 @@ def test_a_tunings_numbers_have_their_unit_and_no_line_of_the_rig(shop):
     with pytest.raises(InputError, match="2 numbers") as error:
         origin("feedback_gain", folder)
     assert "feedback_gain.extend_resistive" in str(error.value)
-    assert origin("feedback_gain.extend_resistive", folder).result.unit == "m^3/(s*Pa)"
+    gain = origin("feedback_gain.extend_resistive", folder)
+    assert gain.result.unit == "m^3/(s*Pa)" and gain.shown.endswith(" mL/min/bar")
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("thresholds.fit_percent.p_head", "30 %"),
+        ("start.press.p_head", "1.5 × 10⁶"),
+        ("halves", "4.25"),
+        ("constraints.bandwidth", "0.5 Hz"),
+        ("answer.bandwidth", "45.0 ± 2.0 Hz (95 %: 43.0 … 47.0)"),
+    ],
+)
+def test_no_number_has_the_unit_of_what_only_names_it(shop, name, shown):
+    """A share of a fit to a pressure is no pressure, a channel's row no time of its table."""
+    numbers = {
+        "thresholds": {"fit_percent": {"p_head": 30.0}},
+        "start": {"press.p_head": 1.5e6},
+        "moved": [{"name": "bulk_modulus", "halves": 4.25}],
+        "constraints": {"bandwidth": np.pi},
+        "answer": {"bandwidth": {"value": 45.0, "interval": [43.0, 47.0], "unit": "Hz"}},
+    }
+    recipe, files = shop / "fit.toml", {"numbers.json": numbers}
+    folder = write_run(shop / "reports" / "of", "tune", recipe, [], files, what="tuning")
+    assert origin(name, folder).shown == shown
 
 
 def edit(name, old, new):

@@ -135,7 +135,7 @@ def findings(run: Saved) -> Findings:
             about = Template("headlines").text("interval", ends=ends, unit=unit)
             value = f"{number(factor * result['value'], 3)} {unit}"
             numbers.append(Headline(OFTEN, capital(label), value, about))
-    steps = [] if table.get("transfers") else [message("steps.forms")]
+    steps = [] if "transfers" in table else [message("steps.forms")]
     return Findings(numbers, [{"kind": "response"}], table["warnings"], steps)
 
 

@@ -375,8 +375,8 @@ def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
     ratio = {"demanded": tuning["target"], "reached": tuning["damping_ratio"]}
     rows.append({"name": "damping_ratio", "text": "damping ratio", **ratio})
     for word, demanded in tuning["constraints"].items():
-        row = {"name": "natural_frequency" if word == "bandwidth" else word, "text": words(word)}
-        rows.append(row | {"demanded": demanded, "reached": _minimum(counted(tuning), word)})
+        row = {"name": word, "text": words(word), "demanded": demanded}
+        rows.append(row | {"reached": _minimum(counted(tuning), word)})
     return rows
 
 
@@ -385,13 +385,13 @@ def reached_demands(rig: Rig, demands: Mapping[str, Any], reached: Mapping[str, 
     the loop swings with any gains."""
     lines = []
     for word, demand in demands.items():
-        value, name = reached.get(word), "natural_frequency" if word == "bandwidth" else word
+        value = reached.get(word)
         if value is None or value >= demand:
             continue
-        if value <= row_of(name).lower:
+        if value <= row_of(word).lower:
             return ""
-        unit = unit_of(rig, name).replace("dimensionless", "")
-        value = rounded_down(shown(rig, name, value))
+        unit = unit_of(rig, word).replace("dimensionless", "")
+        value = rounded_down(shown(rig, word, value))
         lines.append(f'{word} = "{value:g} {unit}'.rstrip() + '"')
     return "\n".join(lines)
 
