@@ -18,7 +18,7 @@ from ehbench.data.record import Record
 from ehbench.preprocessing.plausibility import at_limit
 from ehbench.preprocessing.time_base import SETTINGS as TIME
 from ehbench.preprocessing.time_base import evened
-from ehbench.signals.series import stretches_of
+from ehbench.signals.series import levelled, repeats, stretches_of
 from ehbench.vocabulary import Z95, InputError, InsufficientData, Message, listed, message, setting
 
 
@@ -223,16 +223,12 @@ def prepare_signals(
         fields = {"channel": names[0], "level": pairs[0][0][0]}
         raise InsufficientData(message("frequency_response.constant_input", **fields))
     signals = signals_of(pairs, rates[0], choice)
-    if choice.window == "hann" and all(_repeats(x, signals.size) for x, _ in pairs):
+    if choice.window == "hann" and all(
+        repeats(x, signals.size, SETTINGS.no_power) for x, _ in pairs
+    ):
         fields = {"input": names[0], "segment": signals.size / signals.rate}
         warnings.append(message("frequency_response.repeats", **fields))
     return replace(signals, warnings=tuple(warnings))
-
-
-def _repeats(x: np.ndarray, size: int) -> bool:
-    """Whether an input is the same some samples later, all along, but for a drift."""
-    change = x[size:] - x[:-size]
-    return not change.size or float(np.var(change)) <= SETTINGS.no_power * float(np.var(x))
 
 
 def signals_of(
@@ -347,7 +343,7 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     total = np.zeros((3, transform.f_pts), complex)
     for pair, count in zip(signals.pairs, signals.segments, strict=True):
         if count:
-            level = (_levelled(item, size, size - signals.overlap, count) for item in pair)
+            level = (levelled(item, size, size - signals.overlap, count) for item in pair)
             x, y = (transform.stft_detrend(item, p1=count, **where) for item in level)
             for i, density in enumerate((_power(x), _power(y), y * np.conj(x))):
                 total[i] += count * np.mean(density, axis=-1)
@@ -359,14 +355,6 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
         raise InsufficientData(message("frequency_response.no_frequency", **fields))
     gxx, gyy, gxy = total[:, retained] / sum(signals.segments)
     return frequency[retained], gxx.real, gyy.real, gxy
-
-
-def _levelled(values: np.ndarray, size: int, step: int, count: int) -> np.ndarray:
-    """Values without the line through the means of their segments: a drift repeats with an input
-    that repeats, and no coherence would show it."""
-    means = np.lib.stride_tricks.sliding_window_view(values, size)[::step][:count].mean(axis=-1)
-    k = np.arange(count) - 0.5 * (count - 1)
-    return values - (k @ means / max(k @ k, 1.0) / step) * np.arange(values.size)
 
 
 def _power(transformed: np.ndarray) -> np.ndarray:
