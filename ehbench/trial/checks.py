@@ -33,8 +33,8 @@ class CheckSettings:
     range: float = setting(
         3.0, "", "a pressure, in highest pressures of the rig", "a caught load doubles it"
     )
-    late: float = setting(0.02, "s", "a sample's age, a controller's time", "what a link retains")
-    late_ticks: float = setting(2.0, "", "the same, at least, in ticks", "one packet lost")
+    late: float = setting(0.02, "s", "a sample's age, a controller's time", "a watchdog")
+    late_ticks: float = setting(2.0, "", "the least of it, in ticks", "one packet lost")
 
 
 CHECKS = CheckSettings()
