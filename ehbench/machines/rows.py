@@ -169,30 +169,28 @@ def within(values, lower, upper):
     return True
 
 
-@kernel
-def _control_one(law, i, rows):
-    """One tick of a built-in controller: its command and its telemetry of row ``i``."""
-    tick(
-        rows.t[i],
-        rows.sample,
-        law.references[i],
-        law.controller,
-        rows.commands[i],
-        law.telemetry[i],
-    )
-
-
 def control(laws, i, rows):
-    """One tick of each of some built-in controllers, a tuple of `LawRows`, in their order."""
+    """One tick of each of some built-in controllers, a tuple of `LawRows`, in their order: its
+    command and its telemetry of row ``i``."""
     for law in laws:
-        _control_one(law, i, rows)
+        tick(
+            rows.t[i],
+            rows.sample,
+            law.references[i],
+            law.controller,
+            rows.commands[i],
+            law.telemetry[i],
+        )
 
 
 @overload(control, jit_options=WITHIN)
 def _control(laws, i, rows):
     # laws of several kinds are of several types: a loop over them is written out
-    calls = "".join(f"    one(laws[{n}], i, rows)\n" for n in range(len(laws)))
-    space: dict[str, Any] = {"one": _control_one}
+    given = "rows.t[i], rows.sample, law.references[i], law.controller, rows.commands[i]"
+    calls = "".join(
+        f"    law = laws[{n}]\n    tick({given}, law.telemetry[i])\n" for n in range(len(laws))
+    )
+    space: dict[str, Any] = {"tick": tick}
     exec(f"def each(laws, i, rows):\n{calls}", space)
     each: Callable[..., None] = space["each"]
     return each

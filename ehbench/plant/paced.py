@@ -34,10 +34,12 @@ Step = float | Literal["auto"]
 
 class Pace(NamedTuple):
     """What steps are chosen by: ``weights``, 1 over what a step may miss each state by, 0 for none;
-    the ``units`` of a tick, a power of two, of which a step is one or more."""
+    the ``units`` of a tick, a power of two, of which a step is one or more; a step of ``sure``
+    units is taken whatever its error."""
 
     weights: np.ndarray
     units: int
+    sure: int = 1
 
 
 class Way(NamedTuple):
@@ -128,7 +130,7 @@ def attempt(way, command, d):
 
 
 @kernel
-def _step(way, command, part, room, step, rate, given):
+def _step(way, command, part, room, step, rate):
     """One step from ``part`` units of a tick on: (units taken, units to try next, rate [1/s] at its
     end). Its end stands in ``k[4]``, the derivatives there in ``k[5]``.
 
@@ -137,9 +139,8 @@ def _step(way, command, part, room, step, rate, given):
         command: of the present tick [V].
         room: units that it may take at most.
         step: units to try first.
-        given: take those, whatever the error.
     """
-    line, units = way.line, way.pace.units
+    line, units, sure = way.line, way.pace.units, way.pace.sure
     unit, step = line.tick / units, min(step, room)
     if step > units:
         step = step // units * units  # whole ticks of several: a log has a row at the end of each
@@ -148,9 +149,9 @@ def _step(way, command, part, room, step, rate, given):
             step = min(step, units // LATE)
             line_acting(line, command, way.plant, part * unit, step * unit)
             rate = derivatives(way.y, line.acting, way.plant, way.k[0], way.work)
-        if given or step == 1 or rate * step * unit <= STABLE:
+        if step <= sure or rate * step * unit <= STABLE:
             error, after = attempt(way, line.acting, step * unit)
-            if given or step == 1 or error <= 1.0:
+            if step <= sure or error <= 1.0:
                 return step, 2 * step if error < 1.0 / 16.0 else step, after
         half = step // 2
         step = half if half < units else half // units * units  # whole ticks of several
@@ -166,10 +167,10 @@ def arrive(way):
 @kernel
 def over_tick(way, command, rate):
     """Bring ``way.y`` over one tick; ``k[0]`` and ``rate`` hold what the derivatives give."""
-    part, step, units = 0, way.pace.units, way.pace.units
-    while part < units:
-        taken, step, rate = _step(way, command, part, units - part, step, rate, False)
-        part += taken
+    step, left, units = way.pace.units, way.pace.units, way.pace.units
+    while left > 0:
+        taken, step, rate = _step(way, command, units - left, left, step, rate)
+        left -= taken
         arrive(way)
 
 
@@ -255,8 +256,10 @@ def run_paced(y, commands, plant, line, pace, mesh, each, log):
     """
     size, last, follows = y.shape[0], commands.shape[0] - 1, mesh.shape[0] > 0
     k, work = np.empty((SCRATCH, size)), np.empty(plant.at.work)
+    pace = Pace(pace.weights, pace.units, last * pace.units if follows else 1)
     way, late = Way(y, plant, line, pace, k, work), line.past.shape[0] > 1
-    sample, part, until, step, count = 0, 0, 0, pace.units, 0
+    begin = 0 * last  # numba compiles what is called with the literal 0 once more for it
+    sample, part, until, step, count = begin, begin, begin, pace.units, 0
     steps, there, ahead = np.empty(256, np.int64), 0, 0
     line_acting(line, commands[0], plant, 0.0, line.tick / LATE)
     rate = derivatives(y, line.acting, plant, k[0], work)
@@ -272,7 +275,7 @@ def run_paced(y, commands, plant, line, pace, mesh, each, log):
         if follows and ahead == 0:
             ahead, there = mesh[min(there, mesh.shape[0] - 1)], there + 1
         step = min(ahead, room) if follows else step
-        taken, step, rate = _step(way, commands[sample], part, room, step, rate, follows)
+        taken, step, rate = _step(way, commands[sample], part, room, step, rate)
         ahead -= taken
         if count == steps.shape[0]:
             longer = np.empty(2 * count, np.int64)
