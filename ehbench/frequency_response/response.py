@@ -254,7 +254,7 @@ def estimate(signals: Signals) -> Response:
 
     Raises:
         InsufficientData: no frequency is coherent enough to count."""
-    frequency, power, transfer, left, freedom = _local(signals)
+    frequency, power, transfer, left, freedom, bias = _local(signals)
     powered, gain = power > 0.0, np.abs(transfer)
     # half the lines' noise is that of as many segments as the averages stand for
     explained = gain**2 * power
@@ -271,6 +271,7 @@ def estimate(signals: Signals) -> Response:
 
     known = np.where(coherence > 0.0, coherence, np.nan)
     spread = stdtrit(2.0 * freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
+    spread += bias / np.where(gain > 0.0, gain, np.nan)
     phase = _unwrapped(np.angle(transfer), coherent)
     turn = np.where(spread < 1.0, np.arcsin(np.minimum(spread, 1.0)), np.nan)
     curves = {
@@ -313,26 +314,27 @@ def transfer_of(signals: Signals) -> np.ndarray:
 
 def _local(signals: Signals) -> tuple[np.ndarray, ...]:
     """(frequency [Hz], power of the input that is not explained by its neighbours, H, power of the
-    output that is left, its complex degrees of freedom), up to the largest frequency; power is zero
-    and H nan where the input has none."""
+    output that is left, its complex degrees of freedom, by how much H is no parabola), up to the
+    largest frequency; power is zero and H nan where the input has none."""
     frequency = np.arange(1, signals.size // 2) * signals.rate / signals.size
     frequency = frequency[frequency <= signals.choice.frequency]
     if not frequency.size:
         fields = {"highest": signals.choice.frequency, "segment": signals.size / signals.rate}
         raise InsufficientData(message("frequency_response.no_frequency", **fields))
-    gram = np.zeros((frequency.size, ORDER, ORDER), complex)
+    gram = np.zeros((frequency.size, ORDER + 2, ORDER + 2), complex)
     along, whole, lines = gram[..., :1].copy(), np.zeros(frequency.size), 0
     for pair, count in zip(signals.pairs, signals.segments, strict=True):
         if not count:
             continue
         x, y = (_windows(item[: count * signals.size], count, frequency.size) for item in pair)
-        powers = (np.arange(1 - count, count) / count)[:, None] ** np.arange(ORDER)
-        begin, _ = np.linalg.qr(powers)
+        powers = (np.arange(1 - count, count) / count)[:, None] ** np.arange(ORDER + 2)
+        begin, _ = np.linalg.qr(powers[:, :ORDER])
         design, answer = x[..., None] * powers, y[..., None]
         design, answer = (item - begin @ (begin.T @ item) for item in (design, answer))
         adjoint = design.conj().swapaxes(1, 2)
         gram, along = gram + adjoint @ design, along + adjoint @ answer
         whole, lines = whole + np.sum(_power(answer), axis=(1, 2)), lines + x.shape[1] - ORDER
+    gram, beyond, along = gram[:, :ORDER, :ORDER], gram[:, :ORDER, ORDER:], along[:, :ORDER]
     near = np.real(gram[:, 0, 0])
     # a ridge so small that it only keeps at zero what the lines do not show
     inverse = np.linalg.inv(gram + (1e-12 * near + 1e-300)[:, None, None] * np.eye(ORDER))
@@ -344,7 +346,14 @@ def _local(signals: Signals) -> tuple[np.ndarray, ...]:
     transfer = np.where(powered, solution[:, 0, 0], np.nan)
     freedom = lines - np.trace(inverse @ gram, axis1=1, axis2=2).real
     left = np.maximum(whole - explained, 1e-15 * whole)
-    return frequency, np.where(powered, power, 0.0), transfer, left, freedom
+    bias = np.zeros(frequency.size)
+    if frequency.size > ORDER + 1:
+        # the next two terms of H's series, by differences between neighbours, enter it by so much
+        third = np.diff(transfer, 3)
+        terms = np.column_stack([(third[1:] + third[:-1]) / 12.0, np.diff(transfer, 4) / 24.0])
+        terms = np.pad(terms, ((2, 2), (0, 0)), mode="edge")
+        bias = np.nan_to_num(np.abs(np.sum((inverse @ beyond)[:, 0] * terms, axis=1)))
+    return frequency, np.where(powered, power, 0.0), transfer, left, freedom, bias
 
 
 def _windows(values: np.ndarray, count: int, frequencies: int) -> np.ndarray:
@@ -414,9 +423,8 @@ def _falls_below(
     low, high = np.nan_to_num(low - bend, nan=-1e9), np.nan_to_num(high + bend, nan=1e9)
     above, below = low > levels[1], high < levels[2]
     last = next(iter(np.flatnonzero(below[:-1] & below[1:]).tolist()), 0)
-    first = max(
-        (np.flatnonzero(above[:-1] & above[1:])[: max(last - 1, 0)] + 1).tolist(), default=0
-    )
+    surely = (above[:-1] & above[1:])[: max(last - 1, 0)]
+    first = max((np.flatnonzero(surely) + 1).tolist(), default=0)
     if not last or value[first] < levels[0]:
         return None
     passes = first + int(np.argmax(value[first + 1 :] < levels[0]))

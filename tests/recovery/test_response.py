@@ -48,9 +48,10 @@ def held(random: np.random.Generator, t: np.ndarray) -> np.ndarray:
 
 
 def tones(random: np.random.Generator, t: np.ndarray) -> np.ndarray:
-    """Every 0.5 Hz up to 45 Hz."""
-    f = 0.5 * np.arange(1, 91)[:, None]
-    return 0.2 * np.sum(np.sin(2 * math.pi * f * t + random.uniform(0.0, 6.3, f.shape)), axis=0)
+    """Every 0.5 Hz up to 45 Hz, with a period of 2 s."""
+    f, once = 0.5 * np.arange(1, 91)[:, None], t[: round(2.0 * RATE)]
+    waves = np.sin(2 * math.pi * f * once + random.uniform(0.0, 6.3, f.shape))
+    return np.resize(0.2 * np.sum(waves, axis=0), t.size)
 
 
 INPUTS = {
@@ -185,8 +186,14 @@ def test_a_drift_beside_an_input_that_repeats_is_no_answer():
 
 
 def test_a_delay_that_is_long_for_the_segment_is_told():
+    """The phase turns too far for a parabola: the interval has what that lowers the gain."""
     found = estimate(signals(delayed(1, 60, 0.01), segment=0.2, frequency=100.0))
     assert "frequency_response.late" in [note.key for note in found.warnings]
+    # what a parabola over ±1 segment has of its middle, of a phase that turns by 0.6 π each way
+    u = np.linspace(-1.0, 1.0, 2001)
+    lowered = 2.0 * np.mean((9.0 - 15.0 * u**2) / 4.0 * np.cos(0.6 * math.pi * u))
+    assert np.mean(found.gain) == pytest.approx(lowered, rel=0.005) and lowered < 1.95
+    assert np.mean((found.gain_low < 2.0) & (found.gain_high > 2.0)) > 0.93
 
 
 def test_a_command_that_a_controller_set_is_told():
