@@ -1,9 +1,9 @@
-"""Frequency response from logs: gain, phase and coherence by Welch averaging, delay by the slope of
-the phase.
+"""Frequency response from logs: gain, phase and coherence by local polynomials, delay by the slope
+of the phase.
 
-The estimate is H = G_xy/G_xx over segments of all logs, with errors as for one input and one output
-(Bendat & Piersol, Random Data, 4th ed., 9.2): n segments leave 2n − 2 degrees of freedom, and of
-the output's power the share 1 − γ² is not explained by the input."""
+About each frequency the spectra of whole logs obey Y = H X + T: H, and of each log how it begins
+and ends, T, are parabolas over the lines nearer than 1/segment, by least squares (Schoukens,
+Vandersteen, Barbé & Pintelon, IEEE Trans. Instrum. Meas. 58, 2009). What is left of Y is noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ehbench.data.record import Record
 from ehbench.preprocessing.plausibility import at_limit
 from ehbench.preprocessing.time_base import SETTINGS as TIME
 from ehbench.preprocessing.time_base import evened
-from ehbench.signals.series import levelled, repeats, stretches_of
+from ehbench.signals.series import stretches_of
 from ehbench.vocabulary import Z95, InputError, InsufficientData, Message, listed, message, setting
 
 
@@ -27,25 +27,25 @@ class ResponseSettings:
     """Numbers of frequency responses."""
 
     averages: int = setting(4, "", "least number of segments", "fewer leave no useful error")
-    usual_averages: int = setting(8, "", "usual averages of the shortest log", "a compromise")
+    usual_averages: int = setting(8, "", "usual segments of the shortest log", "a compromise")
     samples: int = setting(16, "", "least samples of a segment", "8 frequencies")
-    no_power: float = setting(1.0e-8, "", "power of no excitation, of the largest", "windows")
-    late: float = setting(0.1, "", "share of a segment from which a delay lowers the gain", "10 %")
+    no_power: float = setting(1.0e-8, "", "power of no excitation, of the largest", "rounding")
+    own: float = setting(1e-3, "", "least power that no neighbour explains, of all", "measured")
+    late: float = setting(0.25, "", "share of a segment from which a delay lowers the gain", "2 %")
     curved: float = setting(2.0, "", "residual of a curved phase over its error", "χ²")
     line: int = setting(4, "", "frequencies from which a slope is fitted", "two more than needed")
     shown: float = setting(1.5, "", "shown beyond the highest frequency that counts", "half as far")
 
 
 SETTINGS = ResponseSettings()
-OVERLAP = {"hann": 0.5, "boxcar": 0.0}
+ORDER = 3  # coefficients of a parabola
 
 
 class Averaging(NamedTuple):
-    """How logs are averaged: ``segment`` [s] (None: 8 averages), ``window``, least ``coherence``,
+    """How logs are averaged: ``segment`` [s] (None: 8 of the shortest log), least ``coherence``,
     largest ``frequency`` [Hz]."""
 
     segment: float | None = None
-    window: str = "hann"
     coherence: float = 0.8
     frequency: float = math.inf
 
@@ -54,26 +54,27 @@ class Averaging(NamedTuple):
         """As a recipe's table has it."""
         length = None if table.segment is None else float(table.segment)
         highest = math.inf if table.frequency_max is None else float(table.frequency_max)
-        return cls(length, table.window, table.coherence_min, highest)
+        return cls(length, table.coherence_min, highest)
 
 
 @dataclass(frozen=True)
 class Signals:
     """Input and output of all logs, evenly sampled at ``rate`` [Hz], and how they are averaged:
-    ``size`` samples a segment, ``segments`` of each log, ``averages`` independent ones in all."""
+    ``size`` samples a segment, ``segments`` of each log, which leave ``freedom`` complex degrees of
+    freedom at a frequency."""
 
     pairs: tuple[tuple[np.ndarray, np.ndarray], ...]
     rate: float
     size: int
     segments: tuple[int, ...]
-    averages: float
+    freedom: int
     choice: Averaging
     warnings: tuple[str, ...]
 
     @property
-    def overlap(self) -> int:
-        """Samples that neighbouring segments share."""
-        return round(OVERLAP[self.choice.window] * self.size)
+    def averages(self) -> float:
+        """How many independent segments leave as much: two of the lines for each."""
+        return 1.0 + 0.5 * self.freedom
 
 
 @dataclass(frozen=True)
@@ -222,13 +223,7 @@ def prepare_signals(
     if all(np.ptp(x) == 0.0 for x, _ in pairs):
         fields = {"channel": names[0], "level": pairs[0][0][0]}
         raise InsufficientData(message("frequency_response.constant_input", **fields))
-    signals = signals_of(pairs, rates[0], choice)
-    if choice.window == "hann" and all(
-        repeats(x, signals.size, SETTINGS.no_power) for x, _ in pairs
-    ):
-        fields = {"input": names[0], "segment": signals.size / signals.rate}
-        warnings.append(message("frequency_response.repeats", **fields))
-    return replace(signals, warnings=tuple(warnings))
+    return replace(signals_of(pairs, rates[0], choice), warnings=tuple(warnings))
 
 
 def signals_of(
@@ -238,12 +233,11 @@ def signals_of(
 
     Raises:
         InsufficientData: they are too short."""
-    shared = OVERLAP[choice.window]
     shortest = min(x.size for x, _ in pairs)
-    usual = shortest / (1.0 + (SETTINGS.usual_averages - 1) * (1.0 - shared)) / rate
-    size = round((choice.segment or usual) * rate)
-    step = size - round(shared * size)
-    segments = tuple(max(0, 1 + (x.size - size) // max(step, 1)) for x, _ in pairs)
+    size = round((choice.segment or shortest / SETTINGS.usual_averages / rate) * rate)
+    # whole ones, with which an input that repeats leaks nowhere; two would show a log's ends alone
+    whole = (x.size // max(size, 1) for x, _ in pairs)
+    segments = tuple(n if 2 * n - 1 > ORDER else 0 for n in whole)
     seconds, count = size / rate, sum(segments)
     if size < SETTINGS.samples:
         fields = {"segment": seconds, "count": size, "least": SETTINGS.samples}
@@ -251,17 +245,8 @@ def signals_of(
     if count < SETTINGS.averages:
         fields = {"segment": seconds, "count": count, "least": SETTINGS.averages}
         raise InsufficientData(message("frequency_response.few_segments", **fields))
-    # how many independent segments so many overlapping ones are worth (Welch 1967)
-    taper = _taper(choice.window, size)
-    overlapping = (float(taper[step:] @ taper[: size - step] / (taper @ taper))) ** 2
-    averages = sum(n / (1.0 + 2.0 * (1.0 - 1.0 / max(n, 1)) * overlapping) for n in segments)
-    return Signals(tuple(pairs), rate, size, segments, averages, choice, ())
-
-
-def _taper(window: str, size: int) -> np.ndarray:
-    from scipy.signal import get_window
-
-    return np.asarray(get_window(window, size), float)
+    freedom = sum(2 * n - 1 - ORDER for n in segments if n) - ORDER
+    return Signals(tuple(pairs), rate, size, segments, freedom, choice, ())
 
 
 def estimate(signals: Signals) -> Response:
@@ -269,24 +254,24 @@ def estimate(signals: Signals) -> Response:
 
     Raises:
         InsufficientData: no frequency is coherent enough to count."""
-    frequency, gxx, gyy, gxy = _spectra(signals)
-    powered = gxx > SETTINGS.no_power * gxx.max()
-    product = np.where(powered & (gyy > 0.0), gxx * gyy, np.inf)
-    coherence = np.minimum(np.abs(gxy) ** 2 / product, 1.0)
-    transfer = np.where(powered, gxy / np.where(powered, gxx, 1.0), np.nan)
-    noise = 1.0 - 0.05 ** (1.0 / (signals.averages - 1.0))
+    frequency, power, transfer, left, freedom, bias = _local(signals)
+    powered, gain = power > 0.0, np.abs(transfer)
+    # half the lines' noise is that of as many segments as the averages stand for
+    explained = gain**2 * power
+    coherence = np.where(powered, explained / np.maximum(explained + 0.5 * left, 1e-300), 0.0)
+    by_chance = 1.0 - 0.05 ** (1.0 / signals.freedom)
+    noise = 2.0 * by_chance / (1.0 + by_chance)
     limit = max(signals.choice.coherence, noise)
-    coherent = coherence >= limit
+    coherent = powered & (coherence >= limit)
     if not coherent.any():
         best = int(np.argmax(coherence))
         fields = {"limit": limit, "best": coherence[best], "frequency": frequency[best]}
         raise InsufficientData(message("frequency_response.no_coherence", **fields))
     from scipy.special import stdtrit
 
-    freedom = 2.0 * signals.averages - 2.0
     known = np.where(coherence > 0.0, coherence, np.nan)
-    gain = np.abs(transfer)
-    spread = stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
+    spread = stdtrit(2.0 * freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
+    spread += bias / np.where(gain > 0.0, gain, np.nan)
     phase = _unwrapped(np.angle(transfer), coherent)
     turn = np.where(spread < 1.0, np.arcsin(np.minimum(spread, 1.0)), np.nan)
     curves = {
@@ -295,7 +280,7 @@ def estimate(signals: Signals) -> Response:
         "phase_low": phase - turn,
         "phase_high": phase + turn,
     }
-    delay, curved = _delay(signals, frequency, phase, turn, coherent)
+    delay, curved = _delay(frequency, phase, turn, coherent)
     at = np.flatnonzero(coherent)
     fallen = [curve[at] for curve in (gain, curves["gain_low"], curves["gain_high"])]
     turned = [curve[at] for curve in (phase, curves["phase_low"], curves["phase_high"])]
@@ -323,38 +308,59 @@ def estimate(signals: Signals) -> Response:
 
 
 def transfer_of(signals: Signals) -> np.ndarray:
-    """G_xy/G_xx at the frequencies of `estimate`, complex; zero where the input has no power."""
-    _, gxx, _, gxy = _spectra(signals)
-    powered = gxx > SETTINGS.no_power * gxx.max()
-    return np.where(powered, gxy / np.where(powered, gxx, 1.0), 0.0)
+    """H at the frequencies of `estimate`, complex; zero where the input has no power."""
+    return np.nan_to_num(_local(signals)[2])
 
 
-def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(frequency [Hz], G_xx, G_yy, G_xy) averaged over all segments, up to the largest
-    frequency."""
-    from scipy.signal import ShortTimeFFT
-
-    size = signals.size
-    taper = _taper(signals.choice.window, size)
-    how: Any = {"fs": signals.rate, "scale_to": "psd", "phase_shift": None}
-    transform: Any = ShortTimeFFT(taper, size - signals.overlap, **how)
-    # from where the first segment begins, as SciPy's `csd`, which transforms both signals each time
-    where: Any = {"detr": "constant", "p0": 0, "k_offset": size // 2}
-    total = np.zeros((3, transform.f_pts), complex)
-    for pair, count in zip(signals.pairs, signals.segments, strict=True):
-        if count:
-            level = (levelled(item, size, size - signals.overlap, count) for item in pair)
-            x, y = (transform.stft_detrend(item, p1=count, **where) for item in level)
-            for i, density in enumerate((_power(x), _power(y), y * np.conj(x))):
-                total[i] += count * np.mean(density, axis=-1)
-    total[:, 1 : -1 if size % 2 == 0 else None] *= 2.0
-    frequency = transform.f
-    retained = (frequency > 0.0) & (frequency <= signals.choice.frequency)
-    if not retained.any():
+def _local(signals: Signals) -> tuple[np.ndarray, ...]:
+    """(frequency [Hz], power of the input that is not explained by its neighbours, H, power of the
+    output that is left, its complex degrees of freedom, by how much H is no parabola), up to the
+    largest frequency; power is zero and H nan where the input has none."""
+    frequency = np.arange(1, signals.size // 2) * signals.rate / signals.size
+    frequency = frequency[frequency <= signals.choice.frequency]
+    if not frequency.size:
         fields = {"highest": signals.choice.frequency, "segment": signals.size / signals.rate}
         raise InsufficientData(message("frequency_response.no_frequency", **fields))
-    gxx, gyy, gxy = total[:, retained] / sum(signals.segments)
-    return frequency[retained], gxx.real, gyy.real, gxy
+    gram = np.zeros((frequency.size, ORDER + 2, ORDER + 2), complex)
+    along, whole, lines = gram[..., :1].copy(), np.zeros(frequency.size), 0
+    for pair, count in zip(signals.pairs, signals.segments, strict=True):
+        if not count:
+            continue
+        x, y = (_windows(item[: count * signals.size], count, frequency.size) for item in pair)
+        powers = (np.arange(1 - count, count) / count)[:, None] ** np.arange(ORDER + 2)
+        begin, _ = np.linalg.qr(powers[:, :ORDER])
+        design, answer = x[..., None] * powers, y[..., None]
+        design, answer = (item - begin @ (begin.T @ item) for item in (design, answer))
+        adjoint = design.conj().swapaxes(1, 2)
+        gram, along = gram + adjoint @ design, along + adjoint @ answer
+        whole, lines = whole + np.sum(_power(answer), axis=(1, 2)), lines + x.shape[1] - ORDER
+    gram, beyond, along = gram[:, :ORDER, :ORDER], gram[:, :ORDER, ORDER:], along[:, :ORDER]
+    near = np.real(gram[:, 0, 0])
+    # a ridge so small that it only keeps at zero what the lines do not show
+    inverse = np.linalg.inv(gram + (1e-12 * near + 1e-300)[:, None, None] * np.eye(ORDER))
+    solution = inverse @ along
+    explained = np.sum(along.conj() * solution, axis=(1, 2)).real
+    power = 1.0 / inverse[:, 0, 0].real
+    density = near / np.sin(np.pi * frequency / signals.rate) ** 2
+    powered = (power > SETTINGS.own * near) & (density > SETTINGS.no_power * density.max())
+    transfer = np.where(powered, solution[:, 0, 0], np.nan)
+    freedom = lines - np.trace(inverse @ gram, axis1=1, axis2=2).real
+    left = np.maximum(whole - explained, 1e-15 * whole)
+    bias = np.zeros(frequency.size)
+    if frequency.size > ORDER + 1:
+        # the next two terms of H's series, by differences between neighbours, enter it by so much
+        third = np.diff(transfer, 3)
+        terms = np.column_stack([(third[1:] + third[:-1]) / 12.0, np.diff(transfer, 4) / 24.0])
+        terms = np.pad(terms, ((2, 2), (0, 0)), mode="edge")
+        bias = np.nan_to_num(np.abs(np.sum((inverse @ beyond)[:, 0] * terms, axis=1)))
+    return frequency, np.where(powered, power, 0.0), transfer, left, freedom, bias
+
+
+def _windows(values: np.ndarray, count: int, frequencies: int) -> np.ndarray:
+    """The spectrum of a series' changes at the lines nearer than one of ``count`` segments' to each
+    frequency, shape (frequencies, lines). Of changes, as a drift is the same at all lines then."""
+    spectrum = np.fft.rfft(values - np.roll(values, 1))
+    return np.lib.stride_tricks.sliding_window_view(spectrum, 2 * count - 1)[1::count][:frequencies]
 
 
 def _power(transformed: np.ndarray) -> np.ndarray:
@@ -369,16 +375,10 @@ def _unwrapped(phase: np.ndarray, coherent: np.ndarray) -> np.ndarray:
 
 
 def _delay(
-    signals: Signals,
-    frequency: np.ndarray,
-    phase: np.ndarray,
-    turn: np.ndarray,
-    coherent: np.ndarray,
+    frequency: np.ndarray, phase: np.ndarray, turn: np.ndarray, coherent: np.ndarray
 ) -> tuple[Estimate | None, list[Message]]:
-    """(−dφ/dω with its interval, notes on it) by a weighted line through the phase.
-
-    The window spreads a frequency over its neighbours, so their errors go together: the variance
-    is that of the weighted line under their correlation."""
+    """(−dφ/dω with its interval, notes on it) by a weighted line through the phase. The errors of
+    neighbours are hardly correlated, as the middle of a parabola is hardly one of its ends."""
     at = np.flatnonzero(coherent & np.isfinite(turn))
     if at.size < SETTINGS.line:
         return None, [message("frequency_response.no_delay", count=at.size)]
@@ -389,17 +389,12 @@ def _delay(
     inverse = np.linalg.inv(weighted.T @ weighted)
     solution = inverse @ weighted.T @ (phase[at] / error)
     residual = (phase[at] - design @ solution) / error
-    taper = _taper(signals.choice.window, signals.size)
-    leak = np.abs(np.fft.rfft(taper**2) / np.sum(taper**2)) ** 2
-    apart = np.abs(at[:, None] - at[None, :])
-    correlated = np.where(apart < leak.size, leak[np.minimum(apart, leak.size - 1)], 0.0)
-    variance = (inverse @ weighted.T @ correlated @ weighted @ inverse)[1, 1]
     curved = math.sqrt(float(residual @ residual) / (at.size - 2))
     warnings = []
     if curved > SETTINGS.curved:
         fields = {"low": frequency[at[0]], "high": frequency[at[-1]], "times": curved}
         warnings.append(message("frequency_response.curved_phase", **fields))
-    half = Z95 * math.sqrt(variance) * max(1.0, curved)
+    half = Z95 * math.sqrt(inverse[1, 1]) * max(1.0, curved)
     slope = float(solution[1])
     if slope + half < 0.0:
         warnings.append(message("frequency_response.early", early=-1e3 * slope, error=1e3 * half))
@@ -409,23 +404,35 @@ def _delay(
 def _falls_below(
     frequency: np.ndarray, curves: Sequence[np.ndarray], levels: Sequence[float]
 ) -> Estimate | None:
-    """Where a curve first falls through a level, with its interval; None where it does not, or
-    where its errors leave that open.
+    """Where a curve first falls through a level, between the last two frequencies that are surely
+    above and the first two that are surely below; None where it does not, or where its errors leave
+    that open.
 
     Args:
         frequency: the coherent ones [Hz].
         curves: the curve, its low end, its high end.
         levels: one for each curve."""
-    ends: list[float | None] = []
-    for curve, level in zip(curves, levels, strict=True):
-        i = next(iter(np.flatnonzero(curve < level).tolist()), 0)
-        if i:
-            share = (curve[i - 1] - level) / (curve[i - 1] - curve[i])
-            ends.append(float(frequency[i - 1] + share * (frequency[i] - frequency[i - 1])))
-        else:
-            ends.append(None)
-    value, early, late = ends
-    return None if value is None or late is None else Estimate(value, early, late)
+    if frequency.size < 3:
+        return None
+    value, low, high = curves
+    before, f, after = frequency[:-2], frequency[1:-1], frequency[2:]
+    chord = value[:-2] + (value[2:] - value[:-2]) * (f - before) / (after - before)
+    # a chord is a quarter as far from a parabola as one over twice the distance
+    bend = np.pad(0.25 * np.abs(value[1:-1] - chord), 2, mode="edge")
+    bend = np.maximum(np.maximum(bend[:-2], bend[1:-1]), bend[2:])
+    low, high = np.nan_to_num(low - bend, nan=-1e9), np.nan_to_num(high + bend, nan=1e9)
+    above, below = low > levels[1], high < levels[2]
+    last = next(iter(np.flatnonzero(below[:-1] & below[1:]).tolist()), 0)
+    surely = (above[:-1] & above[1:])[: max(last - 1, 0)]
+    first = max((np.flatnonzero(surely) + 1).tolist(), default=0)
+    if not last or value[first] < levels[0]:
+        return None
+    passes = first + int(np.argmax(value[first + 1 :] < levels[0]))
+    ends = []
+    for curve, level, i in zip((value, low, high), levels, (passes, first, last - 1), strict=True):
+        share = (curve[i] - level) / (curve[i] - curve[i + 1])
+        ends.append(float(frequency[i] + share * (frequency[i + 1] - frequency[i])))
+    return Estimate(ends[0], ends[1] if first else None, ends[2])
 
 
 def _warnings(

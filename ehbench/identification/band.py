@@ -1,7 +1,7 @@
 """The frequency response of a log's channels to a command, as a fit compares it.
 
 Both sides go through the one estimator of `ehbench.frequency_response.response`, from the same
-recorded command with the same segments, so that windows and leakage do the same to both."""
+recorded command with the same segments, so that resolution does the same to both."""
 
 from dataclasses import dataclass
 

@@ -15,11 +15,11 @@ METHODS: Mapping[str, int] = {
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
-    "output_error": 12,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 13,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
-    "frequency_response": 3,
+    "frequency_response": 4,
     "diagnosis": 13,
-    "validation": 11,
+    "validation": 12,
     "control": 3,  # controllers and their monitor
     "tuning": 4,
     "trial": 2,  # the loop and what is measured of it
@@ -34,7 +34,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (3, (*_SIMULATED, "flow_maps")),
     "hydraulics": (3, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
-    "response": (3, (*_SIMULATED, "frequency_response")),
+    "response": (4, (*_SIMULATED, "frequency_response")),
     "validation": (6, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (3, ("plant", "control", "tuning")),

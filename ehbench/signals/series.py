@@ -466,18 +466,3 @@ def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
         energy=energy,
         ok=True,
     )
-
-
-def levelled(values: np.ndarray, size: int, step: int, count: int) -> np.ndarray:
-    """Values without the line through the means of ``count`` segments of ``size`` samples, a
-    ``step`` apart: a drift repeats with an input that repeats, and no coherence would show it."""
-    means = np.lib.stride_tricks.sliding_window_view(values, size)[::step][:count].mean(axis=-1)
-    k = np.arange(count) - 0.5 * (count - 1)
-    return values - (k @ means / max(k @ k, 1.0) / step) * np.arange(values.size)
-
-
-def repeats(x: np.ndarray, size: int, share: float) -> bool:
-    """Whether a series is the same ``size`` samples later, all along, but for a drift and a share
-    of its variance."""
-    change = x[size:] - x[:-size]
-    return not change.size or float(np.var(change)) <= share * float(np.var(x))

@@ -34,13 +34,8 @@ class ResponseRecipe(Recipe):
     output: str = Field(description="channel, such as `boom.v`")
     segment: Annotated[Value, Q("duration")] | None = Field(
         default=None,
-        description="length of a segment; none averages 8 of the shortest log. "
+        description="length of a segment; none takes an eighth of the shortest log. "
         "Its inverse is the resolution in frequency",
-    )
-    window: Literal["hann", "boxcar"] = Field(
-        default="hann",
-        description="of a segment: `hann`, half overlapping; `boxcar`, end to end, "
-        "for an input that repeats with the segment",
     )
     coherence_min: float = Field(
         default=0.8, gt=0, lt=1, description="from which a frequency counts"
@@ -105,7 +100,6 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
             "input": recipe.input,
             "output": recipe.output,
             "gain_unit": unit,
-            "window": recipe.window,
             "coherence_min": recipe.coherence_min,
             "logs": [name for name, _ in prepared.logs.records],
             **result.as_json(),

@@ -1,7 +1,7 @@
 """The frequency response of recording and model where a command sweeps, one against the other.
 
 Both are estimated alike (`ehbench.frequency_response`), from the command to a channel of its
-cylinder, so windows, averages and laws that are not linear act alike on both."""
+cylinder, so averages and laws that are not linear act alike on both."""
 
 import math
 from collections.abc import Mapping
@@ -41,7 +41,6 @@ class SweepSettings:
 
 
 SETTINGS = SweepSettings()
-NEIGHBOURS = 2.0  # 1 + 2 Σ ρ² of neighbouring frequencies, ρ = 2/3 and 1/6 behind a Hann window
 ONE_SIDED = 1.645  # standard deviations that 95 % stay below
 
 
@@ -151,9 +150,8 @@ def _sweep_of(command: str, channel: str, recorded: Response, simulated: Respons
 
 def _beyond(differences: np.ndarray, errors: np.ndarray) -> float:
     """Root mean square of differences, without what their standard errors make of it in 95 % of
-    cases: for normal errors e, the mean of (d² − e²) scatters by √(2 Σ e⁴)/n, and as neighbours
-    share their windows by √NEIGHBOURS times that."""
-    scatter = math.sqrt(2.0 * NEIGHBOURS * float(np.sum(errors**4))) / errors.size
+    cases: for normal errors e, the mean of (d² − e²) scatters by √(2 Σ e⁴)/n."""
+    scatter = math.sqrt(2.0 * float(np.sum(errors**4))) / errors.size
     chance = float(np.mean(errors**2)) + ONE_SIDED * scatter
     return math.sqrt(max(0.0, float(np.mean(differences**2)) - chance))
 

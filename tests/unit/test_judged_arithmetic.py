@@ -247,7 +247,7 @@ def test_a_sweep_is_off_by_what_its_errors_do_not_make():
     assert found.coherence == pytest.approx((0.95, 0.95))
     assert found.simulated is not None and found.simulated.frequency[-1] == 40.0
     assert found.delay_error == pytest.approx(2e-3) and found.gain_ratio == 2.0
-    chance = 0.01 + 1.645 * math.sqrt(2.0 * 2.0 * 32 * 1e-4) / 32.0
+    chance = 0.01 + 1.645 * math.sqrt(2.0 * 32 * 1e-4) / 32.0
     assert found.gain_error == pytest.approx(math.sqrt(1.0 - chance), rel=1e-6)
     turn = 2.0 * math.pi * recorded.frequency[coherent] * 3e-3
     assert found.phase_error == pytest.approx(math.sqrt(np.mean(turn**2) - chance), rel=1e-6)

@@ -497,7 +497,7 @@ def test_forms_that_were_asked_for_come_first_of_a_response(tmp_path):
     form |= {"delay": None, "fit_percent": [70.1]}
     table = {"output": "boom.v", "input": "boom.hect.command", "logs": ["a"], "averages": 8.0}
     table |= {"coherent_range": [1.0, 80.0], "coherent": 80, "frequencies": 100, "segment": 1.0}
-    table |= {"coherence_noise": 0.3, "window": "hann", "warnings": []}
+    table |= {"coherence_noise": 0.3, "warnings": []}
     nothing: Any = lambda **_: []  # noqa: E731
     for forms, first in (([], ["", "value"]), ([form], ["form", "poles [rad/s]"])):
         folder = made(tmp_path, f"forms_{len(forms)}")

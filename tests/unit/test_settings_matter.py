@@ -138,14 +138,15 @@ def swing(cycles=12, size=1e-3, decay=0.0, reference=0.0):
 # --- frequency responses
 
 
-def response(size=64, segments=8, choice=USUAL, delay=0, weak=0.0):
-    """A response of noise, or of two tones of which one is ``weak``, by so many segments."""
+def response(size=64, segments=8, choice=USUAL, delay=0, weak=0.0, near=()):
+    """A response of noise, or of two tones of which one is ``weak``, by so many segments; as large
+    as the other are those of lines ``near`` it."""
     rng = np.random.default_rng(3)
     x = rng.standard_normal(size * (segments + 1) // 2)
     if weak:
         n = np.arange(size * segments)
-        x = np.sin(2 * np.pi * 4 * n / size) + math.sqrt(weak) * np.sin(2 * np.pi * 9 * n / size)
-        choice = Averaging(window="boxcar")
+        x = math.sqrt(weak) * np.sin(2 * np.pi * 9 * n / size)
+        x += np.sum([np.sin(2 * np.pi * k * n / size) for k in (4, *near)], axis=0)
     y = np.roll(x, delay) + 1e-6 * rng.standard_normal(x.size)
     signals = signals_of([(x, y)], 1.0, choice._replace(segment=float(size)))
     return estimate(signals)
@@ -153,23 +154,22 @@ def response(size=64, segments=8, choice=USUAL, delay=0, weak=0.0):
 
 def least_segments(count):
     x = np.zeros(64 * count)
-    how = Averaging(64.0, "boxcar")
-    return refusal(lambda: signals_of([(x, x)], 1.0, how))
+    return refusal(lambda: signals_of([(x, x)], 1.0, Averaging(64.0)))
 
 
 def least_samples(size):
     x = np.zeros(1000)
-    return refusal(lambda: signals_of([(x, x)], 1.0, Averaging(float(size), "boxcar")))
+    return refusal(lambda: signals_of([(x, x)], 1.0, Averaging(float(size))))
 
 
 def usual_size():
     x = np.zeros(9000)
-    return signals_of([(x, x)], 1.0, Averaging(window="boxcar")).size
+    return signals_of([(x, x)], 1.0, USUAL).size
 
 
-def tones(weak):
+def tones(weak, near=()):
     """How many frequencies have power."""
-    return int(np.isfinite(response(weak=weak).coherence).sum())
+    return int(np.isfinite(response(weak=weak, near=near).coherence).sum())
 
 
 def is_late(delay):
@@ -660,7 +660,8 @@ ROWS = [
     (RESPONSE, "samples", lambda n: bool(least_samples(n)), (15, 16), [True, False]),
     (RESPONSE, "usual_averages", usual_size, 1125),
     (RESPONSE, "no_power", tones, (0.8e-8, 1.2e-8), [1, 2]),
-    (RESPONSE, "late", is_late, (8, 12), [False, True]),
+    (RESPONSE, "own", lambda p: tones(2.0 * p, (8.5, 9.5)), (0.8e-3, 1.2e-3), [1, 2]),
+    (RESPONSE, "late", is_late, (23, 27), [False, True]),
     (RESPONSE, "line", frequencies_of_a_line, (3, 4), [True, False]),
     (RESPONSE, "shown", lambda: len(Curve.of(response(), 0.2).frequency), 19),
     (READING, "spans", lambda: spans(0.02), 24),

@@ -314,8 +314,7 @@ def bent(size):
     """Whether a phase is told to bend, by so many times its error."""
     f = np.linspace(1.0, 9.0, 100)
     bend = np.where(np.arange(100) % 2, 1.0, -1.0) * size * math.sqrt(98.0 / 100.0)
-    signals: Any = Stub(choice=response.Averaging(), size=64)
-    return len(response._delay(signals, f, bend, np.full(100, response.Z95), np.ones(100, bool))[1])
+    return len(response._delay(f, bend, np.full(100, response.Z95), np.ones(100, bool))[1])
 
 
 def probes():
