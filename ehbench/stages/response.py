@@ -37,6 +37,9 @@ class ResponseRecipe(Recipe):
         description="length of a segment; none takes an eighth of the shortest log. "
         "Its inverse is the resolution in frequency",
     )
+    window: Literal["hann", "boxcar"] | None = Field(
+        default=None, description="of former versions; has no effect"
+    )
     coherence_min: float = Field(
         default=0.8, gt=0, lt=1, description="from which a frequency counts"
     )
@@ -90,11 +93,11 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
 
         recipe = prepared.recipe
         assert prepared.signals is not None  # a run has all its logs
-        result = estimate(prepared.signals)
-        signals = prepared.signals
+        signals, result = prepared.signals, estimate(prepared.signals)
+        unused = () if recipe.window is None else (message("frequency_response.window"),)
         held = recipe.input.endswith(".command")
         forms = transfers(signals.pairs, signals.rate, held) if recipe.transfer else ()
-        warnings = (*result.warnings, *(notes_of(forms) if recipe.transfer else ()))
+        warnings = (*unused, *result.warnings, *(notes_of(forms) if recipe.transfer else ()))
         unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
         table = {
             "input": recipe.input,

@@ -288,8 +288,11 @@ def folder(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_leaves_numbers_curves_and_a_figure(folder):
+    with (folder / "response.toml").open("a") as recipe_of_former_versions:
+        recipe_of_former_versions.write('window = "hann"\n')
     made = workflow.run(folder / "response.toml", workflow.Session(out=folder / "run"))
     saved = made.json("response")
+    assert made.notes[0].key == "frequency_response.window"
     found = estimate(signals(log(1), frequency=40.0))
     assert made.code == workflow.DONE and saved["gain_unit"] == "(m/s)/(V)"
     assert saved["delay"]["value"] == pytest.approx(found.delay.value, rel=1e-9)

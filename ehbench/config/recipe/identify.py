@@ -24,6 +24,7 @@ class ComparedResponse(FileModel):
 
     input: Channel
     segment: Annotated[Value, Q("duration")] | None = None
+    window: Literal["hann", "boxcar"] | None = None
     coherence_min: float = Field(default=0.8, gt=0, lt=1)
     frequency_max: Annotated[Value, Q("frequency")] | None = None
 
