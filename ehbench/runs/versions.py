@@ -15,7 +15,7 @@ METHODS: Mapping[str, int] = {
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
-    "output_error": 12,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 13,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 3,
     "diagnosis": 13,
