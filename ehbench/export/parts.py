@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -136,19 +137,23 @@ def _rig_parameters(
             yield item._replace(places=places, about=text)
 
 
-def _references(cylinder: str, law: Compiled) -> Iterator[Variable]:
-    """The desired motion, and what of it lies ahead of a law that looks ahead."""
+def _references(design: Design, law: Compiled) -> Iterator[Variable]:
+    """The desired motion, of a law that uses the others' that of all joints, and what of it lies
+    ahead of a law that looks ahead."""
     row, first = VOCABULARY["v_desired"], law.references[0]
-    names = [f"{key}_desired" for key in "xvaj"]
-    names += [f"reference_{i}" for i in range(4, first.size)]
-    ahead = ("min_ahead", "max_ahead") if law.law.preview else ()
-    for i, name in enumerate(names):
-        more = {}
-        if (end := i - first.size + len(ahead)) >= 0:
-            name = f"v_{ahead[end]}"
-            about = message(f"export.{ahead[end]}", seconds=law.law.preview)
-            more = dict(unit=row.unit, lower=row.lower, upper=row.upper, about=about)
-        yield Variable.of(f"{cylinder}.{name}", "input", f"reference[{i}]", first[i], **more)
+    preview = ("min_ahead", "max_ahead") if law.law.preview else ()
+    inputs = [(f"{design.cylinder}.{key}_desired", {}) for key in "xvaj"]
+    if first.size > len(inputs) + len(preview):  # as `coupling.among_others` has them
+        for when, word in product(("desired", "ahead"), ("qd", "qdd")):
+            fields = {"meaning": VOCABULARY[word].meaning, "seconds": law.law.ahead}
+            more = {"about": message(f"export.joint_{when}", **fields)}
+            inputs += [(f"{joint}.{when}.{word}", more) for joint in design.model.layout.joints]
+    for key in preview:
+        about = message(f"export.{key}", seconds=law.law.preview)
+        more = dict(unit=row.unit, lower=row.lower, upper=row.upper, about=about)
+        inputs.append((f"{design.cylinder}.v_{key}", more))
+    for i, (name, more) in enumerate(inputs):
+        yield Variable.of(name, "input", f"reference[{i}]", first[i], **more)
 
 
 def controller_part(trial: Prepared, session: Session, law: Compiled, design: Design) -> Component:
@@ -169,7 +174,7 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
     variables = [
         _measured(trial.rig, channels[i], "input", f"sample[{i}]", samples[0, i]) for i in observed
     ]
-    variables += _references(design.cylinder, law)
+    variables += _references(design, law)
     variables += [
         Variable.of(f"{design.valves[i]}.command", "output", f"command[{i}]", 0.0,
                     lower=float(plant.valves.lowest[i]), upper=float(plant.valves.highest[i]))

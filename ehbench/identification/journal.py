@@ -95,14 +95,20 @@ def journal_of(final: Path, about: Mapping[str, Any], resume: bool) -> Iterator[
     try:
         yield journal
     except EhbenchError:  # it would end so again
-        path.unlink(missing_ok=True)
+        _remove(path)
         raise
     except BaseException as error:
         journal.write()
         if path.is_file():
             error.add_note(f"how far the search has come is kept in {path}: --resume goes on")
         raise
-    path.unlink(missing_ok=True)
+    _remove(path)
+
+
+def _remove(path: Path) -> None:
+    """Remove a journal; where nothing can be removed, there is none."""
+    with suppress(OSError):
+        path.unlink()
 
 
 def _steps(path: Path, about: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -176,10 +176,7 @@ def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
 def _coordinate(
     rig: Rig, name: str, value: Value, given: Mapping[str, Given], where: Where
 ) -> Coordinate:
-    row, minimum = parameter_row(name), -math.inf
-    for cylinder in rig.cylinder:  # the rod end holds oil over the whole stroke
-        if name == f"{cylinder.name}.volume_rod":
-            minimum = 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
+    row = parameter_row(name)
 
     def bound(key: str, default: float | None) -> float | None:
         return _number(given[key][name], name, where(key, name)) if name in given[key] else default
@@ -188,8 +185,8 @@ def _coordinate(
     low, high = bound("lower", value.lower), bound("upper", value.upper)
     bounded = high is not None
     if first > 0.0 and row.lower >= 0.0 and low is None and high is None:
-        low, high = max(row.lower, first / WIDE, minimum), min(row.upper, first * WIDE)
-    low = max(row.lower, minimum) if low is None else low
+        low, high = max(row.lower, first / WIDE), min(row.upper, first * WIDE)
+    low = row.lower if low is None else low
     high = row.upper if high is None else high
     place = where("start", name) if name in given["start"] else where("parameters")
     shown = {"low": low, "high": high, "start": first}

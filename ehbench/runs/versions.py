@@ -41,7 +41,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "trial": (3, _TRIAL),
     "trials": (2, _TRIAL),
     "study": (2, ("sampling",)),
-    "export": (1, ("plant", "control", "trial")),
+    "export": (2, ("plant", "control", "trial")),
     "report": (1, ()),
 }
 

@@ -121,10 +121,14 @@ class Cluster:
         """The samples of tasks, some at a time, in any order.
 
         Raises:
-            InputError: a worker has another version of the package."""
+            InputError: there is no worker, or one has another version of the package."""
         tasks = iter(tasks)
         with self._client as client:
-            sent = client.scatter(self._sent, broadcast=False, hash=True)
+            try:
+                sent = client.scatter(self._sent, broadcast=False, hash=True)
+            except TimeoutError:
+                address = client.scheduler.address
+                raise InputError(message("sampling.no_worker", address=address)) from None
             try:
                 while True:
                     threads = sum(client.nthreads().values())  # however many workers there are now

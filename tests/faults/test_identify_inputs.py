@@ -121,10 +121,28 @@ def test_what_the_log_excites_comes_back_without_bounds(name, factor):
     assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)  # pyright: ignore[reportOperatorIssue]
 
 
-def test_starts_have_bounds_that_can_be():
+@pytest.mark.slow
+def test_a_rod_end_may_hold_less_than_a_wrong_bore_would_sweep():
+    """A bore that is sought decides with it what the rod end can hold at least."""
+    true, stroke = rig().cylinder[0], float(rig().cylinder[0].stroke)
+    names = {"lift.bore": float(true.bore), "lift.volume_rod": float(true.volume_rod)}
+    start = {"lift.bore": 1.15 * names["lift.bore"], "lift.volume_rod": 3.1e-3}
+    fit = identify(rig().with_values(start), [("log", crane())], ["bulk_modulus", *names])
+    wrong = 0.25 * np.pi * (start["lift.bore"] ** 2 - float(true.rod) ** 2) * stroke
+    assert names["lift.volume_rod"] < wrong < start["lift.volume_rod"]
+    for name, value in names.items():
+        assert fit[name].status == "estimated"
+        low, high = fit[name].interval or (np.nan, np.nan)
+        assert abs(fit[name].value - value) < high - low < 0.1 * value
+
+
+def test_a_rod_end_without_oil_at_full_stroke_is_never_tried():
     fit = identify(rig(), [("log", crane())], ["lift.volume_rod"])
     cylinder = rig().cylinder[0]
-    assert fit["lift.volume_rod"].lower > cylinder.areas()[1] * float(cylinder.stroke)
+    assert fit["lift.volume_rod"].value > cylinder.areas()[1] * float(cylinder.stroke)
+
+
+def test_a_start_at_zero_needs_a_bound():
     work = lambda: identify(rig(), [("log", crane())], ["lift.leakage_head"])
     error = refused("identification.zero_start", work)
     assert '[upper] "lift.leakage_head"' in str(error.hint)

@@ -295,6 +295,18 @@ def test_where_nobody_answers_nothing_is_left(study, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_without_workers_is_named(study, tmp_path):
+    import distributed
+
+    quiet = {"dashboard_address": None, "silence_logs": 50, "host": "127.0.0.1"}
+    with distributed.LocalCluster(n_workers=0, **quiet) as idle, config.set(QUICK):
+        workers = workflow.Workers(scheduler=idle.scheduler_address)
+        with refused("sampling.no_worker"):
+            workflow.run(study[0], workflow.Session(out=tmp_path / "run", workers=workers))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_killed_study_goes_on(study, tmp_path):
     path, here = study
     out = tmp_path / "run"

@@ -8,8 +8,8 @@ import pytest
 from ehbench import workflow
 from ehbench.identification import journal as journals
 from ehbench.identification.journal import Journal, journal_of, place_of
-from ehbench.vocabulary.errors import InsufficientData
-from tests.shared import ROOT, contents
+from ehbench.vocabulary.errors import InputError, InsufficientData
+from tests.shared import ROOT, contents, refused
 
 RECIPE = f"""
 stage = "identify"
@@ -27,6 +27,12 @@ def recipe(tmp_path, monkeypatch, undrawn):
     path = tmp_path / "fit.toml"
     path.write_text(RECIPE)
     return path
+
+
+@pytest.mark.parametrize("place", ["fit.toml/run", "/dev/null/run"])
+def test_a_place_where_nothing_can_lie_is_refused_as_such(place, recipe):
+    with refused("runs.no_place", InputError):
+        workflow.run(recipe, workflow.Session(out=Path(place)))
 
 
 def breaking(monkeypatch, count):

@@ -785,9 +785,13 @@ def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [("Flow Rate LPM", "L/min"), ("Q_lpm", "L/min"), ("flow cm3/s", "cm3/s"), ("Q m³/h", "m³/h")],
+    [
+        *(("Flow Rate LPM", "L/min"), ("Q_lpm", "L/min"), ("flow cm3/s", "cm3/s")),
+        *(("Q m³/h", "m³/h"), ("Boom rate deg/s", "deg/s"), ("gyro_rad/s", "rad/s")),
+        *(("Gyro °/s", "deg/s"), ("Vorder rad", ""), ("swing deg/s2", "")),
+    ],
 )
-def test_a_name_of_a_flow_ends_in_its_unit(name, unit):
+def test_a_name_ends_in_its_unit(name, unit):
     assert unit_in(name) == unit
 
 

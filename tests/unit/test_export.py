@@ -112,12 +112,31 @@ def test_c_equals_a_trial_to_the_bit(name, law, tmp_path):
                 assert np.array_equal(recorded, column, equal_nan=True), channel
 
 
-def test_every_input_of_a_law_has_unit_and_meaning():
-    controller = export_of("slide_servo", "arc", parts="controller").components[0]
+@pytest.mark.parametrize("name", ["slide_servo", "thesis_arm"])
+def test_every_input_of_a_law_has_unit_and_meaning(name):
+    controller = export_of(name, "arc", parts="controller").components[0]
     inputs = controller.role("input")
     assert [item.name for item in inputs if not item.unit or not item.about] == []
     ahead = [item for item in inputs if item.name.endswith("_ahead")]
     assert [item.unit for item in ahead] == ["m/s", "m/s"] and ahead[0].about != ahead[1].about
+
+
+def test_a_law_among_others_names_the_desired_motion_of_each_joint():
+    """The lever of each joint's desired rate is that with which its cylinder moves."""
+    export = export_of("thesis_arm", "arc", parts="controller")
+    record = trial.run(export.trial).record
+    part = export.components[0]
+    column = dict(zip([v.name for v in part.variables if v.role != "parameter"], part.rows.T))
+    for cylinder in export.rig.cylinder:
+        rate = column[f"{cylinder.joint}.desired.qd"]
+        at = np.argmax(np.abs(rate))
+        lever = record[f"{cylinder.name}.v_desired"][at] / rate[at]
+        moving = np.argmax(np.abs(record[f"{cylinder.name}.qd"]))
+        moved = record[f"{cylinder.name}.v"][moving] / record[f"{cylinder.name}.qd"][moving]
+        assert lever == pytest.approx(moved, rel=0.02)  # over 2 % of the stroke
+        for word in ("qd", "qdd"):  # the time ahead is a tick
+            now, soon = (column[f"{cylinder.joint}.{when}.{word}"] for when in ("desired", "ahead"))
+            assert np.abs(soon[:-1] - now[1:]).max() < 0.02 * np.abs(now).max()
 
 
 @needs_compiler
