@@ -263,6 +263,9 @@ def estimate(signals: Signals) -> Response:
     noise = 2.0 * by_chance / (1.0 + by_chance)
     limit = max(signals.choice.coherence, noise)
     coherent = powered & (coherence >= limit)
+    if not powered.any():
+        length = signals.size / signals.rate
+        raise InsufficientData(message("frequency_response.at_the_ends", segment=length))
     if not coherent.any():
         best = int(np.argmax(coherence))
         fields = {"limit": limit, "best": coherence[best], "frequency": frequency[best]}

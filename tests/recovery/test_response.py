@@ -23,7 +23,7 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, p
 from ehbench.plant.model import simulate
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
-from tests.shared import RIGS
+from tests.shared import RIGS, refused
 
 RATE = 1000.0
 NATURAL, DAMPING, GAIN = 2.0 * math.pi * 12.0, 0.5, 0.03  # of the system [rad/s, 1, m/s per V]
@@ -260,6 +260,9 @@ def test_noise_alone_is_refused_and_short_segments_too():
     both = {NAMES[0]: record[NAMES[0]], NAMES[1]: other}
     with pytest.raises(InsufficientData, match="no frequency reaches a coherence of 0.8"):
         estimate(signals((name, Record(record.t, both)), coherence=0.8))
+    once = {NAMES[0]: 1.0 * (record.t > 0.3), NAMES[1]: other}
+    with refused("frequency_response.at_the_ends", InsufficientData):
+        estimate(signals((name, Record(record.t, once))))
     with pytest.raises(InsufficientData, match="only 10 samples"):
         signals(log(1), segment=0.01)
     with pytest.raises(InsufficientData, match="no frequency up to 0.5 Hz"):
