@@ -324,10 +324,17 @@ def test_a_killed_study_goes_on(study, tmp_path):
     workers = workflow.Workers(count=1)
     tell = lambda *said: told.append(said[0])
     session = workflow.Session(out=out, workers=workers, resume=True, progress=tell)
-    workflow.run(path, session)
+    outcome = workflow.run(path, session)
     assert int(told[0].split()[1]) > len(kept) and not journal.exists()
     assert "left" not in told[0]  # its time is that of compilers
+    assert "stages.begun_anew" not in [getattr(note, "key", "") for note in outcome.notes]
     same(here, out)
+    another = path.with_name("another.toml")
+    another.write_text(path.read_text(encoding="utf-8").replace("seed = 3", "seed = 4"))
+    (tmp_path / "other.samples.jsonl").write_text("".join(lines), encoding="utf-8")
+    outcome = workflow.run(another, workflow.Session(out=tmp_path / "other", resume=True))
+    (note,) = [note for note in outcome.notes if getattr(note, "key", "") == "stages.begun_anew"]
+    assert is_warning(note)
 
 
 def test_a_sample_is_made_again_bit_for_bit(study, tmp_path):
