@@ -1,6 +1,7 @@
 """Targets in processes of their own: responders in C and Python, the served bench, ends killed."""
 
 import errno
+import logging
 import math
 import os
 import shutil
@@ -498,9 +499,12 @@ def test_a_link_that_cannot_open_is_an_error_of_the_input(tmp_path, url, key):
         ("nidaq://Dev1?map=x", "links.card"),
     ],
 )
-def test_a_port_in_use_and_a_card_are_refused_and_not_announced(trial, url, key, capsys):
+def test_a_port_in_use_and_a_card_are_refused_and_not_announced(
+    trial, url, key, capsys, monkeypatch
+):
     """Nor does the library of Modbus add lines of its own."""
     pytest.importorskip("pymodbus")
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])  # those of pytest would take them
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as also,
