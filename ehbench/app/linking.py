@@ -117,10 +117,9 @@ def serve(
 
             can.serve(target, address.host, address.channel, names, address.map, ready)
         else:
-            ready()
             if address.virtual:
-                serve_virtual(target, address.port, address.host)
+                serve_virtual(target, address.port, address.host, ready)
             with punctual(SERVING, pinned=False):
-                responder.serve(target, address.port, address.host)
+                responder.serve(target, address.port, address.host, ready)
     except OSError as error:
         raise InputError(message("links.system", url=url, why=error.strerror or error)) from error

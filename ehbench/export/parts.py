@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.control.functions import RULE_NAMES
+from ehbench.control.functions import ALL_RULES
 from ehbench.control.registry import tick
 from ehbench.export.component import Component, Variable, identifier, members, numbers
 from ehbench.machines.simulated import model_tick
@@ -19,6 +19,7 @@ from ehbench.plant.model import Model
 from ehbench.trial import Prepared, Session
 from ehbench.trial.controllers import Compiled, Design
 from ehbench.vocabulary import VOCABULARY, InputError, message, setting
+from ehbench.vocabulary.codes import ESTIMATES
 from ehbench.vocabulary.errors import one_line
 from ehbench.vocabulary.quantities import STROKES
 
@@ -211,16 +212,21 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
 
 
 def _gains(law: Compiled) -> Iterator[Variable]:
-    rows = {**law.law.gains, **{name: VOCABULARY[name] for name in RULE_NAMES}}
+    rows = {name: row or VOCABULARY.get(name) for name, row in law.law.gains.items()}
+    rows |= {name: VOCABULARY[name] for name in ALL_RULES}
     gains = law.controller.gains
     values = np.frombuffer(gains.tobytes(), float).tolist()
     for (place, kind), value in zip(members("controller_gains", gains.dtype), values, strict=True):
         name = place.removeprefix("controller_gains.")
-        word = re.sub(r"\[\d+\]$", "", name.rsplit(".", 1)[-1])
+        word, *at = re.findall(r"\w+", name.rsplit(".", 1)[-1])
         if kind != np.float64 or word == "tick":
             continue
         item, row = Variable(name, "parameter", (place,), value), rows.get(word)
-        if row is not None:
+        if at and row is None:  # a number of each estimate; a rate's unit is also of what it sees
+            row = VOCABULARY[ESTIMATES[int(at[0])]]
+            about = message(f"export.{word}", meaning=row.meaning)
+            item = item._replace(unit="" if word == "rate" else row.unit, about=about)
+        elif row is not None:
             item = item._replace(unit=row.unit, lower=row.lower, upper=row.upper, about=row.meaning)
         yield item
 

@@ -1,6 +1,7 @@
 """Vectors as registers of Modbus TCP: written and read in one function 23."""
 
 import asyncio
+import logging
 import struct
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ from ehbench.vocabulary.fields import FileModel
 FORMATS = dict(zip(("float32", "float64", "int16", "uint16", "int32", "uint32"), "fdhHiI"))
 PATIENCE = 0.2  # [s] of a host until a server answers: a trial has long been stopped then
 UP, DOWN, COUNT = 0, 1000, 2000  # where the default map begins; how many there are
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # else Python prints its warnings
 
 
 class Register(FileModel):
@@ -170,8 +172,11 @@ def serve(
     ready: Callable[[], None],
 ) -> None:
     """Serve a target as a Modbus server, on its own clock or on that of its host; ``ready`` is
-    called as it begins."""
-    from pymodbus.server import StartAsyncTcpServer
+    called when it can.
+
+    Raises:
+        OSError: the port is in use, or no address of this machine."""
+    from pymodbus.server import ModbusTcpServer
     from pymodbus.simulator import DataType, SimData, SimDevice
 
     up, down = blocks(*names, path)
@@ -203,8 +208,12 @@ def serve(
 
     async def both() -> None:
         data = SimData(0, count=COUNT, values=0, datatype=DataType.REGISTERS)
-        device = SimDevice(1, [data], action=act)
-        await asyncio.gather(StartAsyncTcpServer(device, address=place), ticks())
+        server = ModbusTcpServer(SimDevice(1, [data], action=act), address=place)
+        try:
+            await server.serve_forever(background=True)
+        except RuntimeError as error:  # the address is in use
+            raise OSError(*error.args) from None
+        ready()
+        await asyncio.gather(server.serving, ticks())
 
-    ready()
     asyncio.run(both())

@@ -27,11 +27,10 @@ class Target:
 
     def __init__(self, machine, commands, modes, rate, watchdog=0.02, ramp=0.05, limits=()):  # noqa: PLR0913
         self.machine, self.commands, self.modes, self.rate = machine, commands, modes, rate
-        self.watchdog, self.ramp, self.limits = watchdog, ramp, limits
-        self.layout, self.token, self.state, self.reason = next(iter(modes)), 0, IDLE, NONE
-        self.rejected, self.used = Counter(), set()  # tokens of sessions that are over
+        self.watchdog, self.ramp, self.limits, self.rejected = watchdog, ramp, limits, Counter()
+        self.layout, self.state, self.reason, self.used = next(iter(modes)), IDLE, NONE, set()
         self.heard = self.gapless = 0.0  # [s] of the last datagram; since when without a gap
-        self.sequence = self.acknowledged = self.ramped = 0
+        self.token = self.sequence = self.acknowledged = self.ramped = 0
         self.values, self.applied = [], [rest for _, _, rest, _ in commands]
 
     def receive(self, datagram, now):
@@ -42,7 +41,7 @@ class Target:
         numbers = struct.unpack(f"<{len(datagram) // 8}d", datagram)
         layout, token, sequence, _, _, wish, reason, _ = map(int, numbers[:8])
         if token != self.token:  # a new session; it ends a stop
-            self.used.add(self.token)
+            self.used.add(self.token)  # its session is over
             self.machine.reset()
             self.token, self.gapless, self.state, self.reason = token, now, ALIVE, NONE
             self.layout, self.values = layout or self.layout, []
@@ -122,13 +121,14 @@ class Rig:
         """A new session begins, which ends a stop: look first."""
 
 
-def serve(target, port, host="127.0.0.1", end=math.inf):
-    """Serve one host at a time over UDP on the target's clock, until ``end`` [s] on it."""
+def serve(target, port, host="127.0.0.1", ready=lambda: None):
+    """Serve one host at a time over UDP on the target's clock; ``ready`` is called when it can."""
     peer, due = None, time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind((host, port))
         link.setblocking(False)
-        while due < end:
+        ready()
+        while True:
             time.sleep(max(due - time.monotonic(), 0.0))
             try:
                 while True:

@@ -3,7 +3,7 @@
 import socket
 import struct
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -173,11 +173,13 @@ class ServedTarget(Target):
         return b"" if self._fails("link_lost") is not None else newest
 
 
-def serve_virtual(target: Target, port: int, host: str = "127.0.0.1") -> None:
-    """Answer each datagram after one tick, on the virtual clock of its host."""
+def serve_virtual(target: Target, port: int, host: str, ready: Callable[[], None]) -> None:
+    """Answer each datagram after one tick, on the virtual clock of its host; ``ready`` is called
+    when it can."""
     clock = VirtualClock(target)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind((host, port))
+        ready()
         while True:
             datagram, sender = link.recvfrom(LARGEST)
             link.sendto(clock.answer(datagram), sender)

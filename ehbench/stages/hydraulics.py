@@ -106,7 +106,9 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             "hash": rundir.hash_of(path, prepared.inputs or (), self.versions(prepared)),
         }
         with journal_of(self.place(prepared, host), about, host.resume) as journal:
-            return super().run(replace(prepared, journal=journal), host)
+            here = (message("stages.begun_anew"),) * (host.resume and not journal.known)
+            outcome = super().run(replace(prepared, journal=journal), host)
+        return replace(outcome, notes=(*outcome.notes, *here))
 
     def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
         from ehbench.guidance.comparison import comparison_of

@@ -71,7 +71,7 @@ class PreparedStudy(Prepared):
         key: what its samples depend on.
         versions: of all methods that make them.
         workers: where they are made.
-        resume: whether to go on with those of an interrupted study.
+        resume: whether to go on with those of an interrupted study; ``keep``: though nobody asks.
         journal: where they are stored until the study is complete.
         is_redesigned: whether controllers are designed on the rigs that are drawn.
         said: of the controllers of the recipes that it repeats.
@@ -86,6 +86,7 @@ class PreparedStudy(Prepared):
     versions: Versions
     workers: Workers = Workers()
     resume: bool = False
+    keep: bool = False
     journal: Path = Path("study.samples.jsonl")
     is_redesigned: bool = False
     said: tuple[str, ...] = ()
@@ -167,16 +168,15 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         """As `Stage.run`; samples are stored next to the run until it is complete."""
         final = self.place(prepared, host)
         journal = final.with_name(f"{final.name}.samples.jsonl")
-        resume = host.resume or host.keep
-        outcome = super().run(
-            replace(prepared, workers=host.workers, journal=journal, resume=resume), host
-        )
+        asked = {"workers": host.workers, "resume": host.resume, "keep": host.keep}
+        outcome = super().run(replace(prepared, journal=journal, **asked), host)
         journal.unlink(missing_ok=True)
         return outcome
 
     def work(self, prepared: PreparedStudy, folder: Path, progress: Progress | None) -> Work:
         design, recipe = prepared.design, prepared.recipe
-        journal = Journal(prepared.journal, prepared.key, design.size, prepared.resume)
+        goes_on = prepared.resume or prepared.keep
+        journal = Journal(prepared.journal, prepared.key, design.size, goes_on)
         try:
             _make(prepared, journal, progress)
             rows = write_tables(folder, design, prepared.measures, journal, prepared.key)
@@ -209,7 +209,8 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             warnings.append(message("stages.redesigned"))
         bad = sum(counts[status] for status in ("failed", "refused", "late"))
         facts = {"samples": design.size, "warnings": [*warnings, *prepared.said]}
-        return Work(facts, code=INCOMPLETE if bad else DONE)
+        here = (message("stages.begun_anew"),) * (prepared.resume and not journal.taken)
+        return Work(facts, code=INCOMPLETE if bad else DONE, here=here)
 
 
 def sample_recipe(study: Path, index: int, root: Path, inputs: Callable[[Recipe], Inputs]) -> Path:

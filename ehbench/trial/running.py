@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,6 +23,7 @@ from ehbench.plant.build import links_of
 from ehbench.plant.model import Start
 from ehbench.plant.paced import AUTO
 from ehbench.plant.stiffness import short_steps
+from ehbench.preprocessing.observations import SETTINGS as OBSERVED
 from ehbench.preprocessing.observations import commanded
 from ehbench.trial.controllers import Compiled, controller_of, valve_fault
 from ehbench.trial.coordination import Driven
@@ -292,7 +294,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         rate,
         stop,
         session.after,
-        tuple(warnings),
+        (*warnings, *_empty_chambers(record, prepared.rig)),
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),
         measures,
@@ -336,6 +338,16 @@ def _trial_warnings(
         for word in ("stalled", "unable")
         if (share := shares.get(word, 0.0)) > 0.0
     ]
+
+
+def _empty_chambers(record: Record, rig: Rig) -> Iterator[Message]:
+    """A warning of each chamber that cavitated, with how long it did in all."""
+    limit = OBSERVED.empty * float(rig.oil.cavitation_pressure)
+    for item, word in product(rig.cylinder, ("p_head", "p_rod")):
+        name = f"{item.name}.{word}"
+        if name in record and (void := record[name] < limit).any():
+            times = {"start": float(record.t[void][0]), "duration": void.sum() * record.sample_time}
+            yield message("trial.cavitates", channel=name, **times)
 
 
 def _coarse_stroke(

@@ -76,10 +76,10 @@ def gathered(errors: list[EhbenchError]) -> Iterator[None]:
 
 
 def raise_all(errors: Sequence[EhbenchError]) -> None:
-    """Raise the first of some errors with the others; nothing where there are none."""
-    if errors:
-        errors[0].others = tuple(errors[1:])
-        raise errors[0]
+    """Raise the first of some errors with the others, each once; nothing where there are none."""
+    if unlike := list({str(error): error for error in errors}.values()):
+        unlike[0].others = tuple(unlike[1:])
+        raise unlike[0]
 
 
 def nearest(

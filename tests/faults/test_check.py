@@ -311,6 +311,15 @@ def test_all_mistakes_of_a_rig_file_and_of_logs_are_shown_at_once(recipes):
         *map(str, errors[:2])
     ]
     shutil.copy(ROOT / "recipes" / "rigs" / rig.name, rig)
+    for name in ("a", "b"):  # what two logs share is wrong once
+        (fit.parent / f"{name}.csv").write_text("t,p\n0,1\n1,2\n2,3\n")
+    (fit.parent / "m.toml").write_text('[names]\nt = "t [s]"\np = "press.p_head [kg]"\n')
+    entries = [f'{{ path = "{name}.csv", columns = "m.toml" }}' for name in ("a", "b")]
+    both = changed(recipes, "slide_servo/hydraulics.toml", DATA, f"data = [{','.join(entries)},")
+    with pytest.raises(InputError) as refusal:
+        workflow.run(both)
+    assert refusal.value.line == 3 and not refusal.value.others
+    changed(recipes, "slide_servo/hydraulics.toml", f"data = [{','.join(entries)},", DATA)
     with pytest.raises(InputError) as refusal:
         workflow.run(fit)
     assert not refusal.value.others and "nothing.mcap" in str(refusal.value)

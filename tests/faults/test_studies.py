@@ -10,6 +10,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+import distributed  # before `config.set`, which else takes its defaults with it as it ends
 import pytest
 from dask import config
 
@@ -66,8 +67,6 @@ def makers(tmp_path_factory):
 def cluster(makers):
     """A Dask scheduler and two worker processes on loopback."""
     import warnings
-
-    import distributed
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -173,8 +172,6 @@ def authority(folder: Path, name: str) -> workflow.Certificates:
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl here")
 def test_an_encrypted_cluster_works_for_who_has_a_certificate_of_its_authority(makers, tmp_path):
-    import distributed
-
     ours, strange = authority(tmp_path, "ours"), authority(tmp_path, "strange")
     ca, cert, key = map(str, ours)
     files = {"tls_ca_file": ca, "require_encryption": True}
@@ -297,8 +294,6 @@ def test_where_nobody_answers_nothing_is_left(study, tmp_path):
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_without_workers_is_named(study, tmp_path):
-    import distributed
-
     quiet = {"dashboard_address": None, "silence_logs": 50, "host": "127.0.0.1"}
     with distributed.LocalCluster(n_workers=0, **quiet) as idle, config.set(QUICK):
         workers = workflow.Workers(scheduler=idle.scheduler_address)
@@ -329,10 +324,17 @@ def test_a_killed_study_goes_on(study, tmp_path):
     workers = workflow.Workers(count=1)
     tell = lambda *said: told.append(said[0])
     session = workflow.Session(out=out, workers=workers, resume=True, progress=tell)
-    workflow.run(path, session)
+    outcome = workflow.run(path, session)
     assert int(told[0].split()[1]) > len(kept) and not journal.exists()
     assert "left" not in told[0]  # its time is that of compilers
+    assert "stages.begun_anew" not in [getattr(note, "key", "") for note in outcome.notes]
     same(here, out)
+    another = path.with_name("another.toml")
+    another.write_text(path.read_text(encoding="utf-8").replace("seed = 3", "seed = 4"))
+    (tmp_path / "other.samples.jsonl").write_text("".join(lines), encoding="utf-8")
+    outcome = workflow.run(another, workflow.Session(out=tmp_path / "other", resume=True))
+    (note,) = [note for note in outcome.notes if getattr(note, "key", "") == "stages.begun_anew"]
+    assert is_warning(note)
 
 
 def test_a_sample_is_made_again_bit_for_bit(study, tmp_path):

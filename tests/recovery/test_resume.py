@@ -35,6 +35,10 @@ def test_a_place_where_nothing_can_lie_is_refused_as_such(place, recipe):
         workflow.run(recipe, workflow.Session(out=Path(place)))
 
 
+def keys(outcome):
+    return [getattr(note, "key", "") for note in outcome.notes]
+
+
 def breaking(monkeypatch, count):
     """Let the search be stopped as it writes its journal for the time ``count``."""
     made, write = [], Journal.write
@@ -70,10 +74,14 @@ def test_a_stopped_search_goes_on_and_ends_with_the_same_bytes(recipe, monkeypat
         assert 100e6 < told["stands"]["parameters"]["bulk_modulus"] < 1800e6
         with monkeypatch.context() as patch:
             again = breaking(patch, 0)
-            workflow.run(recipe, workflow.Session(out=fit, resume=True))
+            outcome = workflow.run(recipe, workflow.Session(out=fit, resume=True))
+        assert "stages.begun_anew" not in keys(outcome)
         assert len(again) <= steps - at + 2  # what had been done is not done again
         assert contents(fit) == contents(Path("whole"))
         assert not left.exists()
+    left.with_name("other.search.json").write_text(json.dumps(told | {"hash": "another recipe"}))
+    outcome = workflow.run(recipe, workflow.Session(out=Path("other"), resume=True))
+    assert "stages.begun_anew" in keys(outcome) and contents(Path("other")) == contents(fit)
 
 
 def test_what_is_known_of_other_inputs_or_torn_is_not_gone_on_with(tmp_path):

@@ -633,6 +633,7 @@ def test_a_log_is_written_and_comes_back(to, tmp_path, monkeypatch):
     assert out == Path(f"press_no_load.{to}")
     record, log = read(out), read(LOG)
     assert set(record.channels) == set(log.channels)
+    assert log.meta["payload"] == "none" and record.meta == log.meta
     np.testing.assert_array_equal(record.t, log.t)
     for name in log.channels:
         np.testing.assert_array_equal(record[name], log[name])

@@ -119,6 +119,13 @@ def test_every_input_of_a_law_has_unit_and_meaning(name):
     assert [item.name for item in inputs if not item.unit or not item.about] == []
     ahead = [item for item in inputs if item.name.endswith("_ahead")]
     assert [item.unit for item in ahead] == ["m/s", "m/s"] and ahead[0].about != ahead[1].about
+    learnt = [item for item in controller.role("parameter") if item.name.endswith("]")]
+    assert len(learnt) == len({item.about for item in learnt}) == 16
+    units = {item.name[:-3]: [] for item in learnt}
+    for item in learnt:
+        units[item.name[:-3]].append(item.unit)
+    assert units.pop("rate") == [""] * 4
+    assert [*units.values()] == [["dimensionless", "kg", "N", "dimensionless"]] * 3
 
 
 def test_a_law_among_others_names_the_desired_motion_of_each_joint():

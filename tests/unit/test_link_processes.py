@@ -1,6 +1,7 @@
 """Targets in processes of their own: responders in C and Python, the served bench, ends killed."""
 
 import errno
+import logging
 import math
 import os
 import shutil
@@ -489,13 +490,30 @@ def test_a_link_that_cannot_open_is_an_error_of_the_input(tmp_path, url, key):
     assert error.value.fields.get("why", "said")
 
 
-def test_a_port_in_use_and_a_card_are_not_served(trial):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        busy = f"udp://127.0.0.1:{taken.getsockname()[1]}"
-        for url, key in ((busy, "links.system"), ("nidaq://Dev1?map=x", "links.card")):
-            with refused(key, InputError):
-                serve(trial, url, None, 100.0, 0.02, allow_code=False)
+@pytest.mark.parametrize(
+    ("url", "key"),
+    [
+        ("udp://127.0.0.1:{port}", "links.system"),
+        ("udp://127.0.0.1:{port}?clock=virtual", "links.system"),
+        ("modbus://127.0.0.1:{port}", "links.system"),
+        ("nidaq://Dev1?map=x", "links.card"),
+    ],
+)
+def test_a_port_in_use_and_a_card_are_refused_and_not_announced(
+    trial, url, key, capsys, monkeypatch
+):
+    """Nor does the library of Modbus add lines of its own."""
+    pytest.importorskip("pymodbus")
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])  # those of pytest would take them
+    with (
+        socket.create_server(("127.0.0.1", 0)) as taken,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as also,
+    ):
+        also.bind(taken.getsockname())
+        with refused(key, InputError):
+            place = url.format(port=taken.getsockname()[1])
+            serve(trial, place, None, 100.0, 0.02, allow_code=False)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_responder_that_is_filled_in_stays(tmp_path):

@@ -165,6 +165,21 @@ def test_the_unit_that_people_see_can_be_said(tmp_path):
         load_rig(path)
 
 
+@pytest.mark.parametrize(("other", "unit"), [("0 N", "N"), ("0 lbf", "lbf"), (None, "kN")])
+def test_a_word_has_the_unit_of_a_file_that_writes_it_in_one(tmp_path, other, unit):
+    """Two cylinders, one with its friction in kN: 0 N of another is not told in kN."""
+    key = r"(?m)^friction_coulomb = .*\n"
+    first, *others = re.split(key, (FOLDER / "thesis_arm.toml").read_text())
+    line = f'friction_coulomb = "{other}"\n' if other else ""
+    text = line.join([first + 'friction_coulomb = "1 kN"\n' + others[0], *others[1:]])
+    (tmp_path / "rig.toml").write_text(text)
+    rig = load_rig(tmp_path / "rig.toml")
+    assert [rig.unit_of(f"{one.name}.friction_coulomb") for one in rig.cylinder] == [
+        "kN",
+        *[unit] * (len(rig.cylinder) - 1),
+    ]
+
+
 def test_places_are_told_in_the_readers_unit_as_finely_as_in_mm():
     """An inch takes two decimals more than a millimetre, bar two more than kPa, m/s three more."""
     rig = load_rig(FOLDER / "slide_servo.toml")

@@ -649,7 +649,8 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
     record, facts = run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{gains}'), allow_code=True)
     command = record["press.servo.command"]
     assert command.max() == 10.0 and (command == 10.0).sum() == 100
-    (warning,) = facts.warnings
+    warning, *voids = facts.warnings
+    assert {note.key for note in voids} == {"trial.cavitates"}, "its valve shuts at full speed"
     assert warning.fields == {"label": "C", "count": 100, "ticks": facts.samples}
     assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
     assert np.array_equal(record["note.press.force"], record.t)
@@ -782,6 +783,20 @@ gains = {{ feedback_gain = "2e-11 m^3/(s Pa)", washout = "2 rad/s" }}
         results.append((step["damping_ratio"], step["natural_frequency"]))
     plain, *shaped = results
     assert shaped == [(pytest.approx(plain[0], abs=0.01), pytest.approx(plain[1], rel=0.05))] * 2
+
+
+def test_a_chamber_that_cavitates_is_told_with_how_long(rig):
+    """A valve that shuts at speed empties the chamber behind the piston; slower, it does not."""
+    step = STEP | {"stop": "0.3 s"}
+    for volts, told in (("8 V", ["press.p_head", "press.p_rod"]), ("0.5 V", [])):
+        record, facts = run_trial(rig, recipe(step | {"amplitude": volts}))
+        notes = [note for note in facts.warnings if note.key == "trial.cavitates"]
+        assert [note.fields["channel"] for note in notes] == told
+        for note in notes:
+            assert is_warning(note)
+            times = record.t[record[note.fields["channel"]] < -45e3]  # half of -90 kPa
+            assert note.fields["start"] == times[0] > 0.3
+            assert note.fields["duration"] == pytest.approx(1e-3 * times.size, rel=2e-3)
 
 
 @pytest.mark.parametrize(("count", "told"), [(1e-3, True), (2.5e-5, False), (0.0, False)])

@@ -265,11 +265,12 @@ class Rig(FileModel):
     @cached_property
     def typed_units(self) -> dict[str, str]:
         """The unit of each parameter not in SI, and of each word whose parameters all share it."""
-        typed = {name: value.unit for name, value in self.parameters().items() if value.unit}
         words: dict[str, set[str]] = {}
-        for name, unit in typed.items():
-            words.setdefault(name.rsplit(".", 1)[-1], set()).add(unit)
-        return {word: min(units) for word, units in words.items() if len(units) == 1} | typed
+        written = {n: v for n, v in self.parameters().items() if v.unit or v.text is not None}
+        for name, value in written.items():
+            words.setdefault(name.rsplit(".", 1)[-1], set()).add(value.unit)
+        words |= {name: {value.unit} for name, value in written.items()}
+        return {name: min(units) for name, units in words.items() if len(units) == 1 and any(units)}
 
     def with_payload(self, load: str | None) -> Rig:
         """This rig carrying the named payload.

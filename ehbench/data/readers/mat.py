@@ -33,7 +33,11 @@ def read(path: Path, dialect: Dialect) -> Source:
     for name, value in result.items():
         if not name.startswith("__"):
             _add(gathered, "", name, value)
-    names, units = (getattr(result.get(word), "__dict__", {}) for word in ("names", "units"))
+    names, units, meta = (
+        getattr(result.get(word), "__dict__", {}) for word in ("names", "units", "meta")
+    )
+    own = names.get("t") == "t"  # else facts of another program
+    meta = {key: text for key, text in meta.items() if own and isinstance(text, str)}
     start, step = result.get("Tstart"), result.get("Tinterval")  # of a PicoScope
     tables = []
     for table in gathered.tables():
@@ -46,7 +50,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         if isinstance(start, Real) and isinstance(step, Real) and not table.name:
             t = float(start) + float(step) * np.arange(table.size)
         tables.append(replace(table, columns=columns, t=t))
-    return Source(tuple(tables), losses=tuple(gathered.losses))
+    return Source(tuple(tables), losses=tuple(gathered.losses), meta=meta)
 
 
 def _add(gathered: Gathered, place: str, name: str, value: Any) -> None:

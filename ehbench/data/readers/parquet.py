@@ -1,5 +1,6 @@
 """Parquet tables, by pyarrow."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,8 @@ def read(path: Path, dialect: Dialect) -> Source:
             continue
         unit = unit_of_attributes({key.decode("utf-8", "replace"): about[key] for key in about})
         gathered.add("", field.name, values, unit)
-    return Source(gathered.tables(), losses=tuple(gathered.losses))
+    meta = json.loads((schema.metadata or {}).get(b"ehbench", b'{"meta": {}}'))["meta"]
+    return Source(gathered.tables(), losses=tuple(gathered.losses), meta=meta)
 
 
 def _values(field: pa.Field, chunks: pa.ChunkedArray) -> np.ndarray | None:

@@ -149,13 +149,13 @@ class Dialect:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A file as its reader found it: its tables, the dialect of a text file, and sentences on what
-    could not be read.
-    """
+    """A file as its reader found it: its tables, the dialect of a text file, sentences on what
+    could not be read, and the facts of a log that ehbench converted."""
 
     tables: tuple[SourceTable, ...]
     dialect: Dialect = Dialect()
     losses: tuple[str, ...] = ()
+    meta: Mapping[str, str] = field(default_factory=dict)
 
     def names(self) -> dict[str, tuple[int, int]]:
         """(table, column) by name: a column's own, and ``table/column`` where several tables have
