@@ -689,6 +689,19 @@ def test_losses_are_a_line_each_and_a_list_with_v(name, tmp_path, monkeypatch, c
     assert sum(text.startswith("- ") for text in capsys.readouterr().out.splitlines()) == count
 
 
+@pytest.mark.parametrize("facts", [b"\xff", b"[1]", b'{"meta": 3}', b'{"meta": {"payload": 5}}'])
+def test_facts_of_another_program_are_passed_over(facts, tmp_path):
+    import pyarrow.parquet as parquet
+
+    path = tmp_path / "a.parquet"
+    converting.convert(LOG, "parquet", path)
+    table = parquet.read_table(path)
+    parquet.write_table(table.replace_schema_metadata({b"ehbench": facts}), path)
+    record, log = read(path), read(LOG)
+    assert "payload" not in record.meta
+    np.testing.assert_array_equal(record["press.p_head"], log["press.p_head"])
+
+
 def test_without_pyarrow_parquet_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(InputError, match="written by pyarrow, which is not installed"):

@@ -1,6 +1,7 @@
 """Parquet tables, by pyarrow."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,10 @@ def read(path: Path, dialect: Dialect) -> Source:
             continue
         unit = unit_of_attributes({key.decode("utf-8", "replace"): about[key] for key in about})
         gathered.add("", field.name, values, unit)
-    meta = json.loads((schema.metadata or {}).get(b"ehbench", b'{"meta": {}}'))["meta"]
+    meta = {}
+    with suppress(AttributeError, KeyError, TypeError, ValueError):  # another program's
+        items = json.loads(schema.metadata[b"ehbench"])["meta"].items()
+        meta = {key: text for key, text in items if isinstance(text, str)}
     return Source(gathered.tables(), losses=tuple(gathered.losses), meta=meta)
 
 
