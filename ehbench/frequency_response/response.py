@@ -336,7 +336,8 @@ def _local(signals: Signals) -> tuple[np.ndarray, ...]:
         design, answer = (item - begin @ (begin.T @ item) for item in (design, answer))
         adjoint = design.conj().swapaxes(1, 2)
         gram, along = gram + adjoint @ design, along + adjoint @ answer
-        whole, lines = whole + np.sum(_power(answer), axis=(1, 2)), lines + x.shape[1] - ORDER
+        whole = whole + np.sum(np.real(answer) ** 2 + np.imag(answer) ** 2, axis=(1, 2))
+        lines += x.shape[1] - ORDER
     gram, beyond, along = gram[:, :ORDER, :ORDER], gram[:, :ORDER, ORDER:], along[:, :ORDER]
     near = np.real(gram[:, 0, 0])
     # a ridge so small that it only keeps at zero what the lines do not show
@@ -364,10 +365,6 @@ def _windows(values: np.ndarray, count: int, frequencies: int) -> np.ndarray:
     frequency, shape (frequencies, lines). Of changes, as a drift is the same at all lines then."""
     spectrum = np.fft.rfft(values - np.roll(values, 1))
     return np.lib.stride_tricks.sliding_window_view(spectrum, 2 * count - 1)[1::count][:frequencies]
-
-
-def _power(transformed: np.ndarray) -> np.ndarray:
-    return np.real(transformed) ** 2 + np.imag(transformed) ** 2
 
 
 def _unwrapped(phase: np.ndarray, coherent: np.ndarray) -> np.ndarray:
