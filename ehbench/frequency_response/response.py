@@ -30,7 +30,7 @@ class ResponseSettings:
     usual_averages: int = setting(8, "", "usual segments of the shortest log", "a compromise")
     samples: int = setting(16, "", "least samples of a segment", "8 frequencies")
     no_power: float = setting(1.0e-8, "", "power of no excitation, of the largest", "rounding")
-    own: float = setting(1e-3, "", "least power that no neighbour explains, of all", "measured")
+    distinct: float = setting(1e-3, "", "share of power that no neighbour explains", "measured")
     late: float = setting(0.25, "", "share of a segment from which a delay lowers the gain", "2 %")
     curved: float = setting(2.0, "", "residual of a curved phase over its error", "χ²")
     line: int = setting(4, "", "frequencies from which a slope is fitted", "two more than needed")
@@ -346,7 +346,7 @@ def _local(signals: Signals) -> tuple[np.ndarray, ...]:
     explained = np.sum(along.conj() * solution, axis=(1, 2)).real
     power = 1.0 / inverse[:, 0, 0].real
     density = near / np.sin(np.pi * frequency / signals.rate) ** 2
-    powered = (power > SETTINGS.own * near) & (density > SETTINGS.no_power * density.max())
+    powered = (power > SETTINGS.distinct * near) & (density > SETTINGS.no_power * density.max())
     transfer = np.where(powered, solution[:, 0, 0], np.nan)
     freedom = lines - np.trace(inverse @ gram, axis1=1, axis2=2).real
     left = np.maximum(whole - explained, 1e-15 * whole)

@@ -660,7 +660,7 @@ ROWS = [
     (RESPONSE, "samples", lambda n: bool(least_samples(n)), (15, 16), [True, False]),
     (RESPONSE, "usual_averages", usual_size, 1125),
     (RESPONSE, "no_power", tones, (0.8e-8, 1.2e-8), [1, 2]),
-    (RESPONSE, "own", lambda p: tones(2.0 * p, (8.5, 9.5)), (0.8e-3, 1.2e-3), [1, 2]),
+    (RESPONSE, "distinct", lambda p: tones(2.0 * p, (8.5, 9.5)), (0.8e-3, 1.2e-3), [1, 2]),
     (RESPONSE, "late", is_late, (23, 27), [False, True]),
     (RESPONSE, "line", frequencies_of_a_line, (3, 4), [True, False]),
     (RESPONSE, "shown", lambda: len(Curve.of(response(), 0.2).frequency), 19),

@@ -36,8 +36,9 @@ def read(path: Path, dialect: Dialect) -> Source:
     names, units, meta = (
         getattr(result.get(word), "__dict__", {}) for word in ("names", "units", "meta")
     )
-    own = names.get("t") == "t"  # else facts of another program
-    meta = {key: text for key, text in meta.items() if own and isinstance(text, str)}
+    if names.get("t") != "t":  # facts of another program
+        meta = {}
+    meta = {key: text for key, text in meta.items() if isinstance(text, str)}
     start, step = result.get("Tstart"), result.get("Tinterval")  # of a PicoScope
     tables = []
     for table in gathered.tables():
