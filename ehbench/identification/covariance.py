@@ -91,7 +91,8 @@ class Prior:
 @dataclass(frozen=True, eq=False)
 class Covariance:
     """Covariances of the search coordinates: ``hac`` and ``acf``, ``counts`` by the resolution of
-    the readings alone, and where the logs disagree ``jackknife``.
+    the readings alone, and where the logs disagree ``jackknife``; ``fixed``, of the errors of fixed
+    numbers, comes on top of each.
 
     ``alone`` is the standard error each parameter would have if all the others were known,
     ``quantile`` that of the 95 % interval by ``hac`` and ``acf``, ``from_data`` the share of each
@@ -107,6 +108,7 @@ class Covariance:
     quantile: float
     from_data: np.ndarray
     from_starts: np.ndarray
+    fixed: np.ndarray
 
     def error(self, k: int) -> tuple[float, float, str]:
         """(standard error, quantile of the 95 % interval, where it is from) of parameter k:
@@ -114,21 +116,40 @@ class Covariance:
         from scipy.special import stdtrit  # scipy.stats is half a second to import
 
         results = [
-            (math.sqrt(max(matrix[k, k], 0.0)), self.quantile, source)
+            (math.sqrt(max(matrix[k, k], 0.0) + self.fixed[k, k]), self.quantile, source)
             for matrix, source in ((self.hac, "hac"), (self.acf, "acf"), (self.counts, "counts"))
         ]
         if self.jackknife is not None:
             quantile = float(stdtrit(self.logs - 1, 0.5 + 0.5 * LEVEL))
-            results.append((math.sqrt(self.jackknife[k, k]), quantile, "jackknife"))
+            std = math.sqrt(self.jackknife[k, k] + self.fixed[k, k])
+            results.append((std, quantile, "jackknife"))
         return max(results, key=lambda item: item[0] * item[1])
 
     @property
     def correlation(self) -> np.ndarray:
-        size = np.sqrt(np.maximum(np.diag(self.hac), 1e-300))
-        return self.hac / np.outer(size, size)
+        """Of ``hac``."""
+        return correlation_of(self.hac)
+
+    @property
+    def whole(self) -> np.ndarray:
+        """``hac`` with the errors of fixed numbers."""
+        return self.hac + self.fixed
+
+    @property
+    def from_fixed(self) -> np.ndarray:
+        """The share of each parameter's variance that errors of fixed numbers cause."""
+        return np.diag(self.fixed) / np.maximum(np.diag(self.whole), 1e-300)
 
 
-def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
+def correlation_of(covariance: np.ndarray) -> np.ndarray:
+    """The correlation matrix of a covariance."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return covariance / np.outer(size, size)
+
+
+def covariance_of(
+    blocks: Sequence[Block], prior: Prior, fixed: Sequence[np.ndarray] = ()
+) -> Covariance:
     """Covariance of a least-squares solution whose residuals are coloured.
 
     Sandwiches ``H⁻¹ M H⁻¹`` with ``H = Σ JᵀJ`` over the logs, J without what a log's nuisances can
@@ -141,17 +162,19 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     (``jackknife``); directions that one log alone informs are left to the sandwich.
 
     Readings in counts Δ without noise are all off alike where they read alike: M is then
-    ``Σ gᵀg Δ²/12`` over the values of each channel, g the sum of J at one of them (``counts``)."""
+    ``Σ gᵀg Δ²/12`` over the values of each channel, g the sum of J at one of them (``counts``).
+
+    ``fixed`` is by log what one standard error of each fixed number changes of the residuals, F of
+    shape (samples, channels, numbers). It moves the solution by a column of ``C = −H⁻¹ Σ JᵀF``:
+    their covariance is ``C Cᵀ`` (Schmidt 1966)."""
     solved = [eliminate(block, prior.weight) for block in blocks]
     data = np.sum([item.normal for item in solved], axis=0)
     total = data + prior.normal
     root = _inverse_root(total)
     inverse = root @ root.T
     known_starts = _inverse_root(np.sum([item.known for item in solved], axis=0) + prior.normal)
-    free = [
-        block.jacobian - block.start_jacobian @ item.gain
-        for block, item in zip(blocks, solved, strict=True)
-    ]
+    pairs = [*zip(blocks, solved, strict=True)]
+    free = [block.jacobian - block.start_jacobian @ item.gain for block, item in pairs]
     scores = [np.einsum("tci,tc->ti", j, b.residuals) for j, b in zip(free, blocks, strict=True)]
     times = [max(map(correlation_time, score.T), default=0.0) for score in scores]
     reaches = [min(len(s) // 4, math.ceil(4.0 * t)) for s, t in zip(scores, times, strict=True)]
@@ -165,6 +188,8 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     known += FAINT * np.diag(np.diag(total))
     hac = np.sum(meats, axis=0) + known
     acf = _by_autocovariance(free, blocks) + np.sum(prior_parts, axis=0) + known
+    moves = [np.einsum("tci,tcj->ij", part, off) for part, off in zip(free, fixed, strict=False)]
+    moved = inverse @ np.sum(moves, axis=0) if moves else np.zeros((len(inverse), 1))
     b = float(np.mean([r / len(s) for r, s in zip(reaches, scores, strict=True)]))
     informed = np.maximum(np.diag(total), 1e-300)
     ideal = np.sum(known_starts**2, axis=1) / np.maximum(np.diag(inverse), 1e-300)
@@ -178,6 +203,7 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
         1.96 + 2.97 * b + 0.416 * b**2,
         np.maximum(1.0 - np.diag(prior.normal) * np.diag(inverse), 0.0),
         np.maximum(1.0 - ideal, 0.0),
+        moved @ moved.T,
     )
 
 

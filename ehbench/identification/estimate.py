@@ -95,9 +95,10 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
         near = {}  # bounds that parameters come near and that their intervals do not exclude
         for i in (i for i in state.free if i in errors.by_index):
             c, error = problem.search[i], errors.by_index[i]
+            half = error.quantile * error.std * math.sqrt(1.0 - error.from_fixed)
             for bound in c.bounds:
                 off = abs(state.theta[i] - bound)
-                if 0.0 < off < min(SETTINGS.near * c.reach, error.quantile * error.std):
+                if 0.0 < off < min(SETTINGS.near * c.reach, half):
                     near[i] = bound
         if not lost and not near:
             break

@@ -60,7 +60,8 @@ class FittedParameter:
     time), ``windows``, or ``range``: the interval is what the logs do not deny, and ``std`` a share
     of its width. ``from_data`` is the share of what is known of it that is not its ``prior``'s (a
     standard deviation, None for none), ``from_starts`` the share of its variance that it has
-    because the logs' starts are estimated."""
+    because the logs' starts are estimated, ``from_fixed`` the share that standard errors of fixed
+    numbers and of flow maps cause."""
 
     name: str
     unit: str
@@ -76,6 +77,7 @@ class FittedParameter:
     prior: float | None = None
     from_data: float = 1.0
     from_starts: float = 0.0
+    from_fixed: float = 0.0
 
 
 @dataclass(frozen=True)

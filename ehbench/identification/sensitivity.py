@@ -1,11 +1,11 @@
 """Sensitivity to fixed parameters: what a fit took as known, what the logs favour instead, and the
 estimates that would then leave their intervals.
 
-Every row of the fault table that the fit does not estimate is asked. An interval is of noise and
-initial states. A fixed number that is wrong by Δ moves the estimates by ``−(JᵀJ)⁻¹ Jᵀj Δ``, J being
-their sensitivities and j that of the number (Ljung, System Identification, 2nd ed., 9.4). Where the
-logs favour another value, and an estimate would leave its interval for it, the number is freed in a
-further fit before it is reported."""
+Every row of the fault table that the fit does not estimate is asked. An interval is of noise,
+initial states and stated errors. A fixed number that is wrong by Δ moves the estimates by
+``−(JᵀJ)⁻¹ Jᵀj Δ``, J being their sensitivities and j that of the number (Ljung, System
+Identification, 2nd ed., 9.4). Where the logs favour another value, and an estimate would leave its
+interval for it, the number is freed in a further fit before it is reported."""
 
 import math
 from collections.abc import Mapping, Sequence

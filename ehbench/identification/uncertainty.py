@@ -6,22 +6,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.identification import results
-from ehbench.identification.covariance import Block, covariance_of, eliminate
+from ehbench.identification.covariance import Block, correlation_of, covariance_of, eliminate
 from ehbench.identification.groups import Group, groups_of, sentence
 from ehbench.identification.problem import SETTINGS as PROBLEM
-from ehbench.identification.problem import Problem, State, effects, linearised, prior_of
+from ehbench.identification.problem import (
+    Problem,
+    State,
+    by_channel,
+    effects,
+    linearised,
+    prior_of,
+)
 from ehbench.identification.search import VAGUE
 from ehbench.vocabulary import Z95, message
 from ehbench.vocabulary.terms import CORRELATED
 
+SMALL = 0.01  # part of its standard error by which a fixed number is moved
 ROUNDING = 1e-9  # share of the reach within which a number is at its bound
 
 
 @dataclass(frozen=True)
 class Error:
     """A standard error in search coordinates, its interval's quantile, where it is from, what it
-    means, the share of what is known of the parameter that is from the data, and the share of its
-    variance that the logs' starts are to blame for."""
+    means, the share of what is known of the parameter that is from the data, and the shares of its
+    variance that the logs' starts and errors of fixed numbers are to blame for."""
 
     std: float
     quantile: float
@@ -29,17 +37,20 @@ class Error:
     kind: str
     from_data: float
     from_starts: float
+    from_fixed: float
 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names, the state they belong to, what each log says there, the covariance of those that
-    are live, and the standard error each would have if all others were known."""
+    their names, of the whole errors and of those by the logs alone, the state they belong to, what
+    each log says there, the covariance of those that are live, and the standard error each would
+    have if all others were known."""
 
     by_index: dict[int, Error]
     names: tuple[str, ...]
     correlation: np.ndarray
+    by_logs: np.ndarray
     state: State
     blocks: list[Block]
     covariance: np.ndarray
@@ -50,7 +61,7 @@ class Errors:
         left of it, without the derivatives there."""
         state, ranges = self.state, self.state.ranges
         known = {
-            i: Error((high - low) / (2.0 * Z95), Z95, "range", "estimated", 1.0, 0.0)
+            i: Error((high - low) / (2.0 * Z95), Z95, "range", "estimated", 1.0, 0.0, 0.0)
             for i, (low, high) in ranges.items()
         }
         columns = {(i, k): by for (i, k), by in state.here.columns.items() if i not in ranges}
@@ -64,7 +75,7 @@ def errors_of(problem: Problem, state: State) -> Errors:
     mean; all of them as if none were fixed at a bound."""
     live = state.live
     blocks = linearised(problem, state, live)
-    match = covariance_of(blocks, prior_of(problem, state, live))
+    match = covariance_of(blocks, prior_of(problem, state, live), _fixed(problem, state))
     sizes = effects(problem, state, [block.jacobian for block in blocks])
     correlation = match.correlation
     inside = [k for k, i in enumerate(live) if not _at_bound(problem, state, i)]
@@ -81,12 +92,35 @@ def errors_of(problem: Problem, state: State) -> Errors:
             kind = "correlated"
         else:
             kind = "estimated"
-        result[i] = Error(
-            std, quantile, source, kind, *map(float, (match.from_data[k], match.from_starts[k]))
-        )
+        shares = match.from_data[k], match.from_starts[k], match.from_fixed[k]
+        result[i] = Error(std, quantile, source, kind, *map(float, shares))
     names = tuple(problem.search[live[k]].name for k in inside)
-    among = correlation[np.ix_(inside, inside)]
-    return Errors(result, names, among, state, blocks, match.hac, match.alone)
+    among = np.ix_(inside, inside)
+    whole = correlation_of(match.whole)[among], correlation[among]
+    return Errors(result, names, *whole, state, blocks, match.whole, match.alone)
+
+
+def _fixed(problem: Problem, state: State) -> list[np.ndarray]:
+    """What one standard error of each number that the fit takes as known changes of the scaled
+    residuals, by log, shape (samples, channels, numbers)."""
+    here, errors = state.here, problem.simulator.fixed_errors()
+    if not errors:
+        return []
+    values = [*problem.values(state.theta), *(value for value, _ in errors.values())]
+    points = []
+    for i, (_, std) in enumerate(errors.values(), len(state.theta)):
+        moved = [*values[:i], values[i] + SMALL * std, *values[i + 1 :]]
+        points += [(moved, k, shifts) for k, shifts in enumerate(here.shifts)]
+    row, _ = problem.simulator.beside(errors).each(points, here.mesh.steps)
+    results = []
+    for k, log in enumerate(problem.logs):
+        left, size = here.residuals[k], by_channel(state.scales, log)
+        change = np.zeros((*left.shape, len(errors)))
+        for i, simulated in enumerate(row[k :: len(problem.logs)]):
+            if simulated is not None:
+                change[..., i] = (problem.residual(log, simulated) - left) / (SMALL * size)
+        results.append(change)
+    return results
 
 
 def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
@@ -138,7 +172,7 @@ def result_of(
         warnings.append(message("identification.not_converged", count=count))
     groups = _groups(problem, errors)
     warnings += [sentence(groups)] if groups else []
-    warnings += together(errors.names, errors.correlation, [set(g.alone) for g in groups])
+    warnings += together(errors.names, errors.by_logs, [set(g.alone) for g in groups])
     shared = range(problem.requested, problem.fitted)
     return results.finish(
         problem.simulator,
@@ -184,6 +218,7 @@ def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> results.F
         prior=prior,
         from_data=error.from_data,
         from_starts=error.from_starts,
+        from_fixed=error.from_fixed,
     )
 
 

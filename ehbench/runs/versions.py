@@ -15,7 +15,7 @@ METHODS: Mapping[str, int] = {
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
-    "output_error": 13,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 14,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 4,
     "diagnosis": 13,
@@ -32,10 +32,10 @@ _TRIAL = (*_SIMULATED, "bench", "control", "trial", "ledger")
 # by stage: its schema and the methods that it uses
 STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (3, (*_SIMULATED, "flow_maps")),
-    "hydraulics": (3, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
+    "hydraulics": (4, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (4, (*_SIMULATED, "frequency_response")),
-    "validation": (6, (*_SIMULATED, "diagnosis", "validation")),
+    "validation": (7, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (3, ("plant", "control", "tuning")),
     "trial": (3, _TRIAL),

@@ -280,6 +280,43 @@ def test_a_measured_map_has_a_factor():
         assert (refused.value.key, refused.value.hint) == (key, f"fit {right}")
 
 
+def test_a_number_known_to_within_an_error_widens_every_interval():
+    """A mass with its standard error, and a map with its own at the command of the log: by what
+    fits have otherwise with either off by 3 % of it."""
+    machine, heavy = shipped("boom_four_valve"), "boom.mass"
+    mass, sure = float(machine.parameters()[heavy]), a_map("sh", 1.2e-3).forward
+    maps = {"boom.sh": ValveMaps(replace(sure, std=np.zeros((2, 2))))}
+    t = np.arange(601) * 1e-3
+    out, back = (t > 0.06) & (t < 0.24), (t > 0.3) & (t < 0.5)
+    commands = {"boom.sh": 4.0 * out, "boom.rt": 4.0 * out, "boom.sr": 4.0 * back}
+    made = simulate(machine, commands | {"boom.ht": 4.0 * back}, 0.6, flow_maps=maps)
+    logs, names = [("log", noisy(made, 5))], ["bulk_modulus", "boom.joint_damping"]
+
+    def fitted(values=None, std=None, maps=maps):
+        known = machine.with_values(values or {})
+        number = replace(known.parameters()[heavy], std=std)
+        return identify(known.with_values({heavy: number}), logs, names, maps)
+
+    plain, error = fitted(), 0.02 * mass
+    root = np.linspace(0.0, 3e3, 7)
+    table = 0.01 * np.tile(sure.flow(root**2, 4.0), (2, 1))
+    unsure = {"boom.sh": ValveMaps(replace(sure, std_root=root, std=table))}
+    for fit, moves in (
+        (fitted(std=error), [{heavy: mass + x * error} for x in (0.03, -0.03)]),
+        (fitted(maps=unsure), [{"boom.sh.map_factor": x} for x in (1.0003, 0.9997)]),
+    ):
+        up, down = map(fitted, moves)
+        for name in names:
+            assert fit[name].value == pytest.approx(plain[name].value, rel=1e-6)
+            std = plain[name].std or math.nan
+            wider = math.hypot(std, (up[name].value - down[name].value) / 0.06)
+            assert wider > 1.1 * std
+            assert fit[name].std == pytest.approx(wider, rel=0.05)
+            share = 1.0 - (std / wider) ** 2
+            assert fit[name].from_fixed == pytest.approx(share, abs=0.05)
+            assert plain[name].from_fixed == 0.0
+
+
 def test_a_preload_behind_a_measured_map_is_fitted():
     """Started at half, from one log of a step out and back."""
     machine, maps = shipped("boom_four_valve"), {"boom.rt": a_map("rt", 1.2e-3)}

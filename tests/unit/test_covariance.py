@@ -263,8 +263,35 @@ def test_the_widest_interval_is_taken(variances, jackknife, source, std):
     one = np.ones(1)
     wide = None if jackknife is None else np.array([[jackknife]])
     hac, acf, counts = (np.array([[value]]) for value in variances)
-    result = Covariance(hac, acf, counts, wide, 3, one, 1.96, one, one)
+    result = Covariance(hac, acf, counts, wide, 3, one, 1.96, one, one, np.zeros((1, 1)))
     assert result.error(0)[::2] == (std, source)
+    off = replace(result, fixed=np.array([[7.0]]))
+    assert off.error(0)[::2] == (pytest.approx(np.sqrt(std**2 + 7.0)), source)
+    assert off.from_fixed == pytest.approx([7.0 / (7.0 + variances[0])])
+
+
+@pytest.mark.parametrize("weight", [1e-6, 3.0])
+def test_errors_of_fixed_numbers_move_a_fit_as_in_the_joint_problem(weight):
+    """Two numbers off by their standard errors: what the best parameters of two logs with starts
+    move by adds to their covariance."""
+    rng, sharpness = np.random.default_rng(23), np.array([0.0, 5.0])
+    logs = [rng.standard_normal((300, 5)) + 0.2 for _ in range(2)]  # parameters, start, numbers
+    blocks = [
+        block_of(x[:, None, :2], x[:, None, 2:3], rng.standard_normal((300, 1)), np.zeros(1))
+        for x in logs
+    ]
+    rows = np.zeros((603, 4))
+    rows[:300, [0, 1, 2]], rows[300:600, [0, 1, 3]] = logs[0][:, :3], logs[1][:, :3]
+    rows[600:] = np.sqrt(weight) * np.diag([0.0, 5.0, 1.0, 1.0])[1:]
+    off = np.concatenate([logs[0][:, 3:], logs[1][:, 3:], np.zeros((3, 2))])
+    moves = np.linalg.lstsq(rows, off, rcond=None)[0][:2]
+    prior = Prior(sharpness, np.zeros(2), weight)
+    found = covariance_of(blocks, prior, [x[:, None, 3:] for x in logs])
+    plain = covariance_of(blocks, prior)
+    assert found.fixed == pytest.approx(moves @ moves.T, rel=1e-9)
+    assert found.whole - plain.hac == pytest.approx(moves @ moves.T, rel=1e-6)
+    assert not plain.fixed.any() and not plain.from_fixed.any()
+    assert found.correlation == pytest.approx(plain.correlation)
 
 
 def test_freeing_a_number_does_what_the_joint_least_squares_say():

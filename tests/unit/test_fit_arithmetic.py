@@ -258,19 +258,23 @@ def test_an_error_means_what_its_sizes_say(size, alone, std, likeness, inside, k
     match = Stub(correlation=np.array([[1.0, likeness * CORRELATED], [likeness * CORRELATED, 1.0]]),
                  error=lambda k: ([std, 0.1][k] * vague, 2.0 + k, "acf"), hac=np.eye(2),
                  alone=vague * np.array([alone, 0.1]), from_data=np.array([0.5, 1.0]),
-                 from_starts=np.array([0.25, 0.0]))  # fmt: skip
+                 from_starts=np.array([0.25, 0.0]), from_fixed=np.array([0.75, 0.0]),
+                 whole=np.array([[4.0, 1.0], [1.0, 1.0]]))  # fmt: skip
     asked: Any = Stub(search=[place, replace(place, name="bulk_modulus")])
     state: Any = Stub(live=(0, 1))
     with answers(uncertainty, linearised=[], covariance_of=match, prior_of=None,
-                 effects=uncertainty.PROBLEM.faint * np.array([size, 9.0]),
+                 effects=uncertainty.PROBLEM.faint * np.array([size, 9.0]), _fixed=[],
                  _at_bound=lambda _, __, i: i not in inside):  # fmt: skip
         found = uncertainty.errors_of(asked, state)
     error = found.by_index[0]
     assert (error.kind, error.std, error.quantile) == (kind, std * vague, 2.0)
-    assert (error.source, error.from_data, error.from_starts) == ("acf", 0.5, 0.25)
+    shares = error.from_data, error.from_starts, error.from_fixed
+    assert (error.source, *shares) == ("acf", 0.5, 0.25, 0.75)
     names = ("carriage.damping", "bulk_modulus")
     assert found.names == tuple(names[k] for k in inside)
-    assert found.correlation.shape == (len(inside), len(inside))
+    assert found.by_logs.shape == found.correlation.shape == (len(inside), len(inside))
+    if len(inside) == 2:
+        assert (found.by_logs[0, 1], found.correlation[0, 1]) == (likeness * CORRELATED, 0.5)
 
 
 # --- frequency responses
@@ -1050,8 +1054,8 @@ def test_what_lies_at_an_end_of_its_range_goes_back_beside_a_row_that_moves_noth
     (low, _), here = asked.search[1].bounds, float(state.theta[1])
     ranges = {1: (low, low + 0.5)}
     state = replace(state.moved(1, low).fixed(1), ranges=ranges)
-    errors = {i: uncertainty.Error(0.1, 2.0, "hac", "estimated", 1.0, 0.0) for i in (0, 2)}
-    result = uncertainty.Errors(errors, (), np.eye(2), state, [], np.eye(2), np.ones(2))
+    errors = {i: uncertainty.Error(0.1, 2.0, "hac", "estimated", 1.0, 0.0, 0.0) for i in (0, 2)}
+    result = uncertainty.Errors(errors, (), np.eye(2), np.eye(2), state, [], np.eye(2), np.ones(2))
     row: Any = Row(name="mass", certainty=0, kind="mass", numbers=())
     item = sensitivity._Suspect(row, [], (0,), 0.3, 1.0, np.array([1.0, 2.0]),
                                 (Moved("m", 1.0, 2.0, 0.8),))  # fmt: skip
