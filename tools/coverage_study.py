@@ -3,7 +3,8 @@
 
 Every rig is a slide, a crane or a boom with numbers, posture, load and steps of its own; its logs
 are simulated by the model that is fitted, so that nothing but the noise and the estimation is on
-trial, unless one flow gain of the fitted rig is made wrong (``gain``)."""
+trial, unless one flow gain of the fitted rig is made wrong (``gain``), or it goes by maps of noisy
+readings of its edges (``maps``)."""
 
 from __future__ import annotations
 
@@ -22,7 +23,10 @@ import numpy as np
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
+from ehbench.flow_maps.readings import readings_table
+from ehbench.flow_maps.results import fit_flow_map
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.physics.flow_map import FlowMaps, collect
 from ehbench.plant.model import simulate
 from ehbench.runtime.blas import one_thread
 from ehbench.vocabulary.errors import EhbenchError
@@ -41,6 +45,9 @@ POLE = 0.95  # of the coloured noise, at 1 kHz
 SECONDS = 1.4
 OFF = 1.6  # by which searches start off the truth
 WRONG = 0.03  # of one flow gain
+SCATTER = 0.01  # of a flowmeter's readings
+VOLTS = (0.0, 0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+WORDS = {"": "", "gain": ", one gain 3 % off", "maps": ", maps of readings of 1 %"}
 MINUTES = 1e-6 / 60.0 / 1e5  # 1 mL/min/bar [m³/(s·Pa)]
 
 
@@ -85,13 +92,13 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Case:
-    """One fit: the rig's seed, how many logs, the noise (``white``, ``ar1``), and ``gain``: one
-    flow gain is wrong and all are freed with a prior."""
+    """One fit: the rig's seed, how many logs, the noise (``white``, ``ar1``), and what is ``off``:
+    ``gain``, one flow gain is wrong and all are freed with a prior; ``maps``, those of readings."""
 
     seed: int
     logs: int
     noise: str
-    gain: bool = False
+    off: str = ""
 
 
 @dataclass(frozen=True)
@@ -157,6 +164,23 @@ def random_log(kind: Kind, rig: Rig, index: int, pole: float, rng: np.random.Gen
     return Record(built.t, channels, built.meta)
 
 
+def read_maps(rig: Rig, rng: np.random.Generator) -> FlowMaps:
+    """Maps of two trials of noisy readings of every edge, all of them orifices."""
+    grid = np.array(VOLTS), np.geomspace(3e5, 150e5, 8), np.arange(2)
+    command, drop, trial = map(np.ravel, np.meshgrid(*grid, indexing="ij"))
+    maps = []
+    for cylinder, valve, edge in rig.edges():
+        gain, start = (float(number or 0.0) for number in (edge.flow_gain, edge.deadband))
+        flow = gain * np.maximum(command - start, 0.0) * np.sqrt(drop)
+        noise = SCATTER * flow + 0.1 * SCATTER**2 * flow.max() * (flow > 0.0)
+        read = readings_table(
+            command, drop, flow + noise * rng.standard_normal(flow.size), trial=trial
+        )
+        name = f"{cylinder.name}.{valve.edge_name(edge)}"
+        maps.append(fit_flow_map(name, "forward", read).map)
+    return collect(maps)
+
+
 def _noise(count: int, pole: float, rng: np.random.Generator) -> np.ndarray:
     from scipy.signal import lfilter
 
@@ -181,7 +205,8 @@ def fitted(case: Case) -> Outcome:
             start[name] = 200.0
     start["bulk_modulus"] = min(start["bulk_modulus"], 1.7e9)
     requested, prior = list(truth), {}
-    if case.gain:
+    maps = read_maps(rig, rng) if case.off == "maps" else None
+    if case.off == "gain":
         gains = {n: float(v) for n, v in rig.parameters().items() if n.endswith(".flow_gain")}
         wrong = rng.choice(sorted(gains))
         rig = rig.with_values({wrong: gains[wrong] * (1.0 + WRONG * rng.choice([-1.0, 1.0]))})
@@ -190,7 +215,7 @@ def fitted(case: Case) -> Outcome:
     began = time.process_time()
     try:
         given = FitOptions(start=start, prior=prior, workers=1)
-        fit = identify_hydraulics(rig, logs, requested, given)
+        fit = identify_hydraulics(rig, logs, requested, given, maps)
     except EhbenchError as error:
         return Outcome(case, kind.file, {}, {}, failure=str(error))
     seconds = time.process_time() - began
@@ -211,13 +236,15 @@ def _known(
 
 def cases(rigs: int) -> list[Case]:
     """All cases of a study of so many rigs in each group: two, three and six logs, white and
-    coloured noise, and two logs with a wrong gain; no rig comes twice."""
+    coloured noise, two logs with a wrong gain, and two with maps: there the rigs are those of the
+    first group, else none comes twice."""
     groups = [
-        *((logs, noise, False) for logs, noise in product((2, 3, 6), ("white", "ar1"))),
-        (2, "white", True),
+        *((logs, noise, "") for logs, noise in product((2, 3, 6), ("white", "ar1"))),
+        (2, "white", "gain"),
+        (2, "white", "maps"),
     ]
     return [
-        Case(len(groups) * index + group, *about)
+        Case((len(groups) - 1) * index + group, *about)
         for index in range(rigs)
         for group, about in enumerate(groups)
     ]
@@ -235,18 +262,17 @@ def table(outcomes: Sequence[Outcome]) -> str:
         "| logs | noise | fits | intervals | hold the truth | bulk modulus ± | simulations | CPU |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    groups: dict[tuple[int, str, bool], list[Outcome]] = {}
+    groups: dict[tuple[int, str, str], list[Outcome]] = {}
     for outcome in outcomes:
-        groups.setdefault((outcome.case.logs, outcome.case.noise, outcome.case.gain), []).append(
-            outcome
-        )
-    for (logs, noise, gain), some in groups.items():
+        case = outcome.case
+        groups.setdefault((case.logs, case.noise, case.off), []).append(outcome)
+    for (logs, noise, off), some in groups.items():
         done = [item for item in some if not item.failure]
         holds = [hold for item in done for hold in item.holds.values()]
         widths = [item.width["bulk_modulus"] for item in done if "bulk_modulus" in item.width]
         share, n = 100.0 * float(np.mean(holds)), len(holds)
         lines.append(
-            f"| {logs} | {noise}{', one gain 3 % off' if gain else ''} | {len(done)} | {n} | "
+            f"| {logs} | {noise}{WORDS[off]} | {len(done)} | {n} | "
             f"{share:.1f} ± {100.0 * math.sqrt(share * (100.0 - share) / n) / 100.0:.1f} % | "
             f"{100.0 * float(np.median(widths)):.3f} % | "
             f"{np.median([item.evaluations for item in done]):.0f} | "
