@@ -362,11 +362,21 @@ def least_power(now, way, v_d, load_force, p, circuit, rules):
 
 
 @kernel
+def meters(function, v_d, p, circuit):
+    """True where the path that sets the motion passes ``v_d`` [m/s] at its present drop; whether a
+    regenerating function does is what makes it `feasible`."""
+    path = METERING[function]
+    passing = capacity(circuit, path, path_drop(path, p, circuit))
+    return CROSS[function] >= 0 or passing >= area_of(function, path, circuit) * abs(v_d)
+
+
+@kernel
 def ranked(now, way, v_d, load_force, p, circuit, rules):
     """(function, status): of those that suit and are feasible the one that draws least; else the
-    plainest."""
-    same = DIRECTION[now] == way
-    band = 0.0 if not same else (-rules.force_band if OVERRUNNING[now] == 1 else rules.force_band)
+    plainest. The load's hysteresis keeps only a function whose metering path passes ``v_d``."""
+    band = 0.0
+    if DIRECTION[now] == way and meters(now, v_d, p, circuit):
+        band = -rules.force_band if OVERRUNNING[now] == 1 else rules.force_band
     along = 1 if -way * load_force > band else 0
     best, minimum, plain, maximum = HOLD, math.inf, HOLD, -1.0
     for function in range(1, len(FUNCTIONS)):

@@ -20,8 +20,8 @@ METHODS: Mapping[str, int] = {
     "frequency_response": 4,
     "diagnosis": 13,
     "validation": 12,
-    "control": 3,  # controllers and their monitor
-    "tuning": 4,
+    "control": 4,  # controllers and their monitor
+    "tuning": 5,
     "trial": 2,  # the loop and what is measured of it
     "ledger": 3,
     "sampling": 2,  # designs of studies and their statistics

@@ -294,7 +294,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         rate,
         stop,
         session.after,
-        (*warnings, *_empty_chambers(record, prepared.rig)),
+        (*warnings, *_slowed(measures, prepared.rig), *_empty_chambers(record, prepared.rig)),
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),
         measures,
@@ -338,6 +338,14 @@ def _trial_warnings(
         for word in ("stalled", "unable")
         if (share := shares.get(word, 0.0)) > 0.0
     ]
+
+
+def _slowed(measures: Mapping[str, Any], rig: Rig) -> Iterator[Message]:
+    """A warning where the pump's flow made a motion of several cylinders take longer."""
+    sharing = measures.get("sharing", {})
+    if sharing.get("slowed", 0.0) > 0.0:
+        flows = {name: rig.shown("flow", sharing[f"flow_{name}"]) for name in ("demand", "limit")}
+        yield message("trial.slowed", longer=sharing["longer"], **flows)
 
 
 def _empty_chambers(record: Record, rig: Rig) -> Iterator[Message]:

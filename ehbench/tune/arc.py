@@ -2,7 +2,7 @@
 operating point of the whole sampled loop (`ehbench.tune.arc_loop`)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -154,15 +154,18 @@ class Search:
             "phase_margin": min(item.phase for item in result),
             "delay_margin": min(item.stated for item in result),
         }
-        met = all(worst[name] >= demand for name, demand in self.demands.items())
-        return ArcCandidate(sum=budget / self.lag, met=met, **worst)
+        return ArcCandidate(sum=budget / self.lag, met=self.share(worst) >= 1.0, **worst)
+
+    def share(self, margins: Mapping[str, float]) -> float:
+        """The smallest margin as a share of its demand; 1 keeps them all."""
+        return min(margins[name] / demand for name, demand in self.demands.items() if demand > 0.0)
 
 
 def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> ArcTuning:
     """Choose the bandwidths over the operating points of a study.
 
     The largest sum of bandwidths that keeps the demands at every point; where none does, the one
-    with the largest delay margin, and the result says so.
+    that comes closest, by the margin that is the smallest share of its demand.
 
     Args:
         study: of `ehbench.tune.study.prepare_tuning`.
@@ -178,7 +181,7 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
         report("margins", 0.9 * i / len(budgets))
         tried[budget] = search.candidate(budget)
     passing = [budget for budget, item in tried.items() if item.met]
-    budget = max(passing or tried, key=lambda b: b if passing else tried[b].delay_margin)
+    budget = max(passing or tried, key=lambda b: b if passing else search.share(vars(tried[b])))
     beyond = min((other for other in tried if other > budget), default=budget)
     for _ in range(ARC_SEARCH.refinements if passing and beyond > budget else 0):
         middle = math.sqrt(budget * beyond)
@@ -199,7 +202,9 @@ def _result(
     warnings = rail_notes(study.rig, points)
     if not chosen.met:
         missed = [k for k, demand in search.demands.items() if getattr(chosen, k) < demand]
-        words, point = " and ".join(name.replace("_", " ") for name in missed), points[worst].name
+        words = " and ".join(name.replace("_", " ") for name in missed)
+        shares = [search.share(vars(search.judged(budget, [item]))) for item in results]
+        point = points[shares.index(min(shares))].name
         warnings.append(message("tune.missed_margins", margins=words, point=point))
     _, loci = loops[worst].loci(search.sensing)
     return ArcTuning(

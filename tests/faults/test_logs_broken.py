@@ -291,3 +291,12 @@ def test_wrong_csv(tmp_path, text, error, line, key):
         read(path)
     assert (caught.value.file, caught.value.line) == (str(path), line)
     assert caught.value.key == key
+
+
+@pytest.mark.parametrize(("column", "unit"), [("boom.operator [1]", ""), ("boom.x [mm]", " mm")])
+def test_a_number_without_unit_is_shown_without_one(tmp_path, column, unit):
+    path = tmp_path / "log.csv"
+    path.write_text(f"t [s],{column}\n0,0\n1,1e6\n")
+    with pytest.raises(UnitError) as caught:
+        read(path)
+    assert (caught.value.key[:16], caught.value.fields["unit"]) == ("data.implausible", unit)

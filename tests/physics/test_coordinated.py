@@ -188,6 +188,9 @@ def test_with_the_pump_limit_met_the_tip_keeps_to_its_line(tmp_path):
     assert tips[True]["max_error"] < tips[False]["max_error"]
     sharing = results[True].facts.measures["sharing"]
     assert sharing["slowed"] > 0.2 and sharing["pace"] < 0.9 and sharing["longer"] > 0.1
+    said = {share: {n.key: n for n in results[share].facts.warnings} for share in results}
+    assert "trial.slowed" not in said[False]
+    assert said[True]["trial.slowed"].fields["longer"] == sharing["longer"]
     record = results[True].record
     gone = np.column_stack([record[f"tip_{way}"] for way in "xyz"])
     assert off_the_line(gone) == pytest.approx(tips[True]["max_across"], rel=1e-2)

@@ -56,6 +56,16 @@ def test_more_delay_costs_bandwidth_and_too_much_is_said():
     assert len(never.candidates) == ARC_SEARCH.budgets[2]
 
 
+def test_where_one_margin_is_out_of_reach_it_is_the_one_that_counts():
+    """The largest delay margin is that of the slowest, whose gain margin is the smallest."""
+    found = tuned(delay_margin="0 ms", gain_margin="1000", phase_margin="0 deg")
+    assert found.gain_margin == max(item.gain_margin for item in found.candidates)
+    assert found.delay_margin < max(item.delay_margin for item in found.candidates)
+    missed: Any = found.warnings[0]
+    assert missed.fields["margins"] == "gain margin"
+    assert missed.fields["point"] == min(found.points, key=lambda at: at.gain_margin).name
+
+
 @pytest.mark.parametrize(
     ("gain", "phase", "delay", "keys"),
     [

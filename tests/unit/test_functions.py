@@ -307,6 +307,22 @@ def test_no_chatter_on_noisy_pressures():
         assert (np.diff(run(c, bare, v_d, head + noise[0], rod + noise[1])) != 0).sum() > 20
 
 
+@pytest.mark.parametrize(("speed", "passes"), [(0.05, True), (0.06, False)])
+def test_a_load_within_its_band_keeps_only_what_passes_the_speed(speed, passes):
+    """Out of the head end flow 9 V·gain·Δp/√(Δp² + Δp0²) = 1.11e-4 m³/s at 0.4 bar."""
+    c, rules, p_head = CIRCUITS["four"], fn.pack_rules(A2, PS), 0.4e5
+    overrunning, resistive = (
+        codes.FUNCTIONS.index(f"retract_{w}") for w in ("overrunning", "resistive")
+    )
+    assert (A1 * speed < 1.11e-4) == passes
+    now = overrunning
+    for share, kept in ((0.9, True), (-0.9, passes), (0.9, passes), (1.1, True)):
+        load = share * rules.force_band
+        p = Pressures(p_head, (p_head * A1 - load) / A2, PS, 0.0)
+        now, status = fn.select(now, 1e9, -speed, load, p, c, rules)
+        assert (now, status) == (overrunning if kept else resistive, codes.OK)
+
+
 def test_dwell_is_kept_but_for_a_change_of_direction():
     rng, n = np.random.default_rng(6), 5000
     c = circuit(FIVE)

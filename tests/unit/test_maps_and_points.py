@@ -1244,15 +1244,16 @@ def test_a_pump_that_follows_others_is_constant_at_a_point(margin, supply, follo
 
 @pytest.mark.parametrize(("limit", "more"), [(0.05, True), (math.inf, False), (0.0, False)])
 def test_the_largest_budget_that_keeps_the_demands_is_closed_in_on(limit, more):
-    """Where none does, that of the largest delay margin; what is done goes on and is below 1."""
+    """Where none does, that which comes closest; what is done goes on and is below 1."""
     settings, done, seen = arc.ARC_SEARCH, [], {}
     first = np.geomspace(*settings.budgets)
     limit = limit and (math.sqrt(first[2] * first[3]) * 1.01 if more else limit)
 
     def candidate(budget: float) -> Any:
-        return Stub(met=budget <= limit, delay_margin=-abs(math.log(budget / first[1])))
+        return Stub(met=budget <= limit, closeness=-abs(math.log(budget / first[1])))
 
-    with answers(arc, Search=lambda _: Stub(candidate=candidate),
+    search = Stub(candidate=candidate, share=lambda reached: reached["closeness"])
+    with answers(arc, Search=lambda _: search,
                  _result=lambda _, __, budget, tried: seen.update(tried) or budget):  # fmt: skip
         found: Any = arc.tune_arc(None, lambda _, share: done.append(share))  # pyright: ignore[reportArgumentType]
     assert len(seen) == first.size + more * settings.refinements
@@ -1923,6 +1924,7 @@ def test_a_tuning_of_margins_tells_its_worst_point_and_what_it_misses():
     work.design_point = Stub(tick=1e-3)
     work.gains, work.plants = lambda _: (None, None), [Stub(point=point) for point in points]
     work.judged = lambda budget, results: arc.Search.judged(work, budget, results)
+    work.share = lambda margins: arc.Search.share(work, margins)
     rig = Stub(name="slide", supply=Stub(facts=dict, low_rail=None))
     given: Any = Stub(rig=rig, cylinder="press")
     with answers(arc, named_gains={"gains": gain}):

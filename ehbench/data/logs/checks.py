@@ -53,7 +53,8 @@ def check_record(
             if other != unit and row.lower <= to_si(value, other, row) <= row.upper
         ]
         key = "data.implausible_unit" if fits else "data.implausible"
-        fields = {"unit": unit, "where": where, "fits": fits[0] if fits else ""}
+        shown = "" if unit in ("1", "dimensionless") else f" {unit}"
+        fields = {"unit": shown, "where": where, "fits": fits[0] if fits else ""}
         text = message(key, name=name, value=value, low=low, high=high, **fields)
         raise UnitError(text, file=file, line=line)
 
