@@ -10,8 +10,6 @@ from ehbench.vocabulary.fields import Value
 class BenchFile(Checked[BenchRecipe]):
     """`BenchRecipe`."""
 
-    recipe = BenchRecipe
-
     def prepare(self, recipe: BenchRecipe, inputs: Inputs) -> Prepared:
         from ehbench import trial
 
@@ -24,8 +22,6 @@ class BenchFile(Checked[BenchRecipe]):
 
 class Dataset(Checked[DatasetRecipe]):
     """`DatasetRecipe`, which ``python -m tools.datasets`` records."""
-
-    recipe = DatasetRecipe
 
     def prepare(self, recipe: DatasetRecipe, inputs: Inputs) -> Prepared:
         bench = inputs.existing(recipe.bench)

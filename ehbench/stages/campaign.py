@@ -24,7 +24,6 @@ class PreparedCampaign(Prepared):
 class CampaignStage(Stage[Campaign, PreparedCampaign]):
     """`Campaign`."""
 
-    recipe = Campaign
     name = "campaign"
     command = "reproduce"
     writes = "one report.html over all runs, each of which has a folder of its own"

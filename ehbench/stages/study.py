@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from ehbench import trial
 from ehbench.config.recipe import Recipe, StudyRecipe, load_recipe
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
@@ -95,7 +96,6 @@ class PreparedStudy(Prepared):
 class StudyStage(Stage[StudyRecipe, PreparedStudy]):
     """`StudyRecipe`."""
 
-    recipe = StudyRecipe
     name = "study"
     command = "study"
     writes = "samples.parquet, samples.csv, study.json, the worst samples as runs, figures"
@@ -318,8 +318,6 @@ def _single_keys(
 
 def _refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> None:
     """Refuse measures that no sample will have; the channels of a user's class are not known."""
-    from ehbench import trial
-
     roots = stage.results(prepared)
     for index, measure in enumerate(study.measures):
         where = study.at("measures", index)

@@ -24,6 +24,7 @@ from ehbench.config.recipe.columns import (
 from ehbench.config.recipe.export import ExportRecipe
 from ehbench.config.recipe.identify import CalibrationPoint, FlowMapRecipe, HydraulicsRecipe
 from ehbench.config.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
+from ehbench.config.recipe.response import ResponseRecipe
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.recipe.study import Measure, Span, Spread, StudyRecipe, Target
 from ehbench.config.recipe.toml import line_of, read_toml, validated
