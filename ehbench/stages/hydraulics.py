@@ -21,15 +21,7 @@ from ehbench.identification.results import FittedParameter, HydraulicsFit
 from ehbench.identification.search import coordinates
 from ehbench.runs import rundir
 from ehbench.runtime.disk import filling, write_text
-from ehbench.stages.base import (
-    Host,
-    Outcome,
-    PreparedFromLogs,
-    Stage,
-    Work,
-    write_rig,
-    write_series,
-)
+from ehbench.stages import base
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.stages.relocation import name_from, relocated
@@ -44,7 +36,7 @@ _OPTIONS = (
 
 
 @dataclass(frozen=True)
-class PreparedHydraulics(PreparedFromLogs):
+class PreparedHydraulics(base.PreparedFromLogs):
     """The fit, and one with each of the dynamics to compare; None without a log, in a dry run."""
 
     recipe: HydraulicsRecipe
@@ -53,7 +45,7 @@ class PreparedHydraulics(PreparedFromLogs):
     journal: Journal | None = None
 
 
-class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
+class HydraulicsStage(base.Stage[HydraulicsRecipe, PreparedHydraulics]):
     """`HydraulicsRecipe`."""
 
     name = "hydraulics"
@@ -93,7 +85,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
     def results(self, prepared: PreparedHydraulics) -> list[Any]:
         return [dict.fromkeys(prepared.recipe.parameters, FittedParameter), HydraulicsFit]
 
-    def run(self, prepared: PreparedHydraulics, host: Host) -> Outcome:
+    def run(self, prepared: PreparedHydraulics, host: base.Host) -> base.Outcome:
         path = prepared.recipe.path
         about = {
             "about": message("stages.journal", recipe=path.name),
@@ -104,7 +96,9 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             outcome = super().run(replace(prepared, journal=journal), host)
         return replace(outcome, notes=(*outcome.notes, *here))
 
-    def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
+    def work(
+        self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None
+    ) -> base.Work:
         recipe, logs = prepared.recipe, prepared.logs
         assert prepared.fit is not None  # a run has all its logs
         fit = hydraulics.run_fit(prepared.fit, progress, prepared.journal)
@@ -113,12 +107,12 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             for name, item in prepared.variants.items()
         }
         compared = [variant.as_json() for variant in (hydraulics.ranked(fits) if fits else ())]
-        write_rig(folder, fit.rig, prepared.state.flow_maps)
+        base.write_rig(folder, fit.rig, prepared.state.flow_maps)
         additional = tables_of(recipe.sensor) | {"dynamics_comparison": compared}
         advice = comparison_of(prepared.fit).steps
         additional["advice"] = [{"key": step.key, "fields": step.fields} for step in advice]
         rundir.write_json(folder / "parameters.json", fit.as_json() | additional)
-        write_series(folder / "series", fit.series())
+        base.write_series(folder / "series", fit.series())
         fitted_on = [rundir.sha256(path) for _, path in logs.inputs]
         return prepared.done(fit.warnings, method=recipe.method, fitted_on=fitted_on)
 
@@ -160,7 +154,7 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
     if setup.options.sensors:
         table["sensor"] = [sensor.as_toml() for sensor in setup.options.sensors]
     with filling(folder) as scratch:
-        write_rig(scratch, setup.rig, prepared.state.flow_maps)
+        base.write_rig(scratch, setup.rig, prepared.state.flow_maps)
         write_text(scratch / recipe.path.name, tomli_w.dumps(table))
         rundir.write_json(scratch / "suggestions.json", [asdict(row) for row in result.rows])
     return folder / recipe.path.name
