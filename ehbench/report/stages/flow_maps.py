@@ -298,14 +298,3 @@ def findings(run: Saved) -> content.Findings:
     steps = [message("steps.calibrate", **content.names(run))] if against else []
     numbers = [content.Headline(content.OFTEN, "Deadbands", value, about)]
     return content.Findings(numbers, [{"kind": "flow_map"}], against, steps)
-
-
-REPORT = content.StageReport(
-    "flow maps",
-    section,
-    draw,
-    findings,
-    standing=1,
-    shows=("Deadbands",),
-    numbers=("summary.json", ()),
-)

@@ -272,15 +272,3 @@ def estimates_of(fit: Table) -> list[Table]:
         else parameter
         for parameter in fit["parameters"]
     ]
-
-
-REPORT = content.StageReport(
-    "identification",
-    section,
-    draw,
-    findings,
-    standing=1,
-    shows=("Parameters",),
-    columns=("parameter", "value", "unit", "95 % interval", "status", "bounds"),
-    numbers=("parameters.json", ("parameters", "warnings")),
-)

@@ -288,8 +288,3 @@ def findings(run: Saved) -> content.Findings:
         message("steps.lost_samples", **content.names(run), status=words(word)) for word in ended
     ]
     return content.Findings(numbers, figures, against, steps)
-
-
-REPORT = content.StageReport(
-    "study", section, draw, findings, shows=("Results",), numbers=("study.json", ())
-)

@@ -151,16 +151,6 @@ def findings(run: Saved) -> content.Findings:
     )
 
 
-REPORT = content.StageReport(
-    "trial",
-    section,
-    draw,
-    findings,
-    shows=("Measures", "Trial"),
-    numbers=("trial.json", ("duration", "stopped", "measures")),
-)
-
-
 def trials_findings(run: Saved) -> content.Findings:
     rig, cases, page = run.rig, cases_of(run), Template("headlines", run.rig)
     against = [

@@ -8,12 +8,12 @@ from ehbench.config.rig import Rig
 from ehbench.report import trial_captions as captions
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text, slug
 from ehbench.report.cases import Case, cases_of, groups_of
-from ehbench.report.content import Pictures, SectionContent, StageReport, folded
+from ehbench.report.content import Pictures, SectionContent, folded
 from ehbench.report.energy_tables import saving_blocks, supply_blocks
 from ehbench.report.figures import trials as figures
 from ehbench.report.figures.energy import bars
 from ehbench.report.saved import FigureIndex, Saved
-from ehbench.report.stages.trial import draw_case, draw_sankey, trials_findings
+from ehbench.report.stages.trial import draw_case, draw_sankey
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import capital, load_name, pretty, shown, unit_of, words
 
@@ -136,8 +136,3 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     more = tuple(captions.controller_captions(rig, cases))
     status = "stopped" if stopped else "done"
     return SectionContent(status, captions.trials_caption(cases), parts, more)
-
-
-REPORT = StageReport(
-    "trials", section, draw, trials_findings, shows=("Measures",), numbers=("table.json", ("rows",))
-)

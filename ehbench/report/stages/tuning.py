@@ -406,16 +406,3 @@ def findings(run: Saved) -> content.Findings:
     if share < 1.0:
         against.append(page.text("missed_draws", share=1.0 - share))
     return content.Findings(numbers, [{"kind": "damping"}], against, steps)
-
-
-REPORT = content.StageReport(
-    "tuning",
-    section,
-    draw,
-    findings,
-    shows=("The gain",),
-    numbers=(
-        "tuning.json",
-        ("met", "feedback_gain", "washout", "damping_ratio", "damping_ratio_open"),
-    ),
-)

@@ -288,15 +288,3 @@ def silence(table: Table) -> str:
             fields = {"key": test, "limit": limit, "beyond": beyond, "tested": len(tested)}
             parts.append(page.text("silent_test", **fields))
     return page.text("silence", parts=parts)
-
-
-REPORT = content.StageReport(
-    "validation",
-    section,
-    draw,
-    findings,
-    standing=2,
-    shows=("Verdict",),
-    columns=("log", "check", "result"),
-    numbers=("validation.json", ("accepted", "reasons", "reservations", "black_box", "thresholds")),
-)
