@@ -14,7 +14,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
+import numpy as np
+import tomli_w
+
 from ehbench.config.recipe import Recipe, load_rig
+from ehbench.config.rig import Rig
+from ehbench.physics.flow_map import FlowMaps, save_flow_maps
+from ehbench.report import draw
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
@@ -25,9 +31,6 @@ from ehbench.vocabulary.notebook import label, shown, table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from ehbench.config.rig import Rig
-    from ehbench.physics.flow_map import FlowMaps
 
 DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
 
@@ -260,8 +263,6 @@ class Stage(Checked[R], Generic[R, P]):
 
     def run(self, prepared: P, host: Host) -> Outcome:
         """Do the work in a new run folder and draw its figures; the host may keep an old run."""
-        from ehbench.report import draw
-
         recipe, inputs = prepared.recipe, prepared.inputs or ()
         final = self.place(prepared, host)
         if host.keep and rundir.is_whole(final):
@@ -286,10 +287,6 @@ class Stage(Checked[R], Generic[R, P]):
 
 def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
     """``rig.toml``, and ``flow_maps.json`` where there are maps."""
-    import tomli_w
-
-    from ehbench.physics.flow_map import save_flow_maps
-
     if rig.model is not None:
         place = folder / Path(rig.model.fmu).name
         shutil.copyfile(rig.model.place, place)
@@ -301,8 +298,6 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
 
 def write_series(folder: Path, series: Mapping[str, Mapping[str, Any]]) -> None:
     """One CSV log for each recording: ``<name>.csv`` with recorded and simulated channels."""
-    import numpy as np
-
     folder.mkdir()
     for name, columns in series.items():
         table = np.column_stack(list(columns.values()))

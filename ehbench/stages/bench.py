@@ -1,5 +1,6 @@
 """Files of the virtual bench, which no command runs: a bench, and a dataset recorded on it."""
 
+from ehbench import trial
 from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
 from ehbench.stages.base import Checked, Prepared
 from ehbench.stages.inputs import Inputs
@@ -11,8 +12,6 @@ class BenchFile(Checked[BenchRecipe]):
     """`BenchRecipe`."""
 
     def prepare(self, recipe: BenchRecipe, inputs: Inputs) -> Prepared:
-        from ehbench import trial
-
         rig = load_rig(inputs.existing(recipe.rig))
         keys = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
         trial.prepare(TrialRecipe(stage="trial", duration=Value(1.0), **keys), rig)
