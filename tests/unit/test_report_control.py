@@ -15,8 +15,13 @@ from ehbench.report import build, draw, energy_tables
 from ehbench.report.cases import Case, cases_of, groups_of, payload_at_end
 from ehbench.report.comparisons import lasting
 from ehbench.report.figures import root_locus
-from ehbench.report.figures.trial import FUNCTION_SHADES, LIMIT_SHADES, stretches
-from ehbench.report.figures.trials import plot_errors, wide_panels
+from ehbench.report.figures.trial import (
+    FUNCTION_SHADES,
+    LIMIT_SHADES,
+    plot_errors,
+    stretches,
+    wide_panels,
+)
 from ehbench.report.saved import FigureIndex, Saved, Series, Table
 from ehbench.report.stages.tuning import findings, overshoot_of
 from ehbench.report.trial_captions import (

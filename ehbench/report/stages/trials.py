@@ -10,7 +10,7 @@ from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text, slu
 from ehbench.report.cases import Case, cases_of, groups_of
 from ehbench.report.content import Pictures, SectionContent, folded
 from ehbench.report.energy_tables import saving_blocks, supply_blocks
-from ehbench.report.figures import trials as figures
+from ehbench.report.figures import trial as figures
 from ehbench.report.figures.energy import bars
 from ehbench.report.saved import FigureIndex, Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey
