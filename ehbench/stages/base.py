@@ -20,7 +20,6 @@ import tomli_w
 from ehbench.config.recipe import Recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.physics.flow_map import FlowMaps, save_flow_maps
-from ehbench.report import draw
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
@@ -263,6 +262,8 @@ class Stage(Checked[R], Generic[R, P]):
 
     def run(self, prepared: P, host: Host) -> Outcome:
         """Do the work in a new run folder and draw its figures; the host may keep an old run."""
+        from ehbench.report import draw
+
         recipe, inputs = prepared.recipe, prepared.inputs or ()
         final = self.place(prepared, host)
         if host.keep and rundir.is_whole(final):

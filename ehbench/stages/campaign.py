@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ehbench.config.recipe import Campaign, load_recipe
-from ehbench.report import build
 from ehbench.report.provenance import unsupported
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
@@ -81,6 +80,8 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
 
     Raises:
         InputError: a folder is no whole run, or lacks what its section needs."""
+    from ehbench.report import build
+
     for folder in folders:
         if not rundir.is_whole(folder):
             raise InputError(message("stages.no_whole_run"), file=folder)

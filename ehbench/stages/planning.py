@@ -10,7 +10,6 @@ from ehbench.config.recipe import HydraulicsRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose, widest
 from ehbench.guidance.profile import profile
-from ehbench.report import draw
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import TracedRun, unsupported
@@ -123,6 +122,8 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
 
     Raises:
         InputError: another kind of recipe, a parameter that it does not fit."""
+    from ehbench.report import draw
+
     recipe = expect_hydraulics(inputs.recipe)
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
