@@ -489,11 +489,10 @@ SAMPLES, ROWS, WORKERS = 1500, 100_000, 2
 def studies() -> Iterator[Row]:
     """What a study adds to its samples, in processes and on a Dask cluster of this machine; what a
     sample costs on the wire and on disk; how many this process can hand out; memory."""
-    from ehbench.config.recipe import StudyRecipe
     from ehbench.sampling.cluster import Cluster
     from ehbench.sampling.pools import Processes
     from ehbench.sampling.sample import Workers
-    from ehbench.stages import REGISTRY
+    from ehbench.stages import stage_of
     from ehbench.stages.study import PreparedStudy
     from ehbench.workflow import Session
 
@@ -502,7 +501,7 @@ def studies() -> Iterator[Row]:
         path = Path(folder, "study.toml")
         path.write_text(_STUDY.format(samples=ROWS))
         recipe = load_recipe(path)
-        prepared = REGISTRY[StudyRecipe.kind()].prepare(recipe, Session().inputs(recipe))
+        prepared = stage_of(recipe).prepare(recipe, Session().inputs(recipe))
         assert isinstance(prepared, PreparedStudy)
         plan, count = prepared.plan, len(prepared.measures)
         pool = Processes(plan.opened, WORKERS, count)

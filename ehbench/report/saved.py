@@ -15,9 +15,10 @@ from typing_extensions import TypedDict
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
+from ehbench.data.logs.text import read_csv
 from ehbench.data.text import text_table
 from ehbench.runs.rundir import read_json, write_json
-from ehbench.vocabulary import VOCABULARY, InputError, grouped, message, quantity, to_si
+from ehbench.vocabulary import VOCABULARY, InputError, grouped, message, to_si
 from ehbench.vocabulary.text import unlike
 
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
@@ -248,27 +249,13 @@ def read_series(path: Path) -> Series:
     [rad]``.
 
     Raises:
-        InputError: no time, an unknown channel, a cell that is no number."""
-    table = text_table(path, "t [s],boom.q [rad],simulated.boom.q [rad]")
-    columns = np.ascontiguousarray(table.floats(range(len(table.header))).T)
-    t, sides = None, {"recorded": {}, "simulated": {}}
-    for name, values in zip(table.header, columns, strict=True):
-        full, unit = _head(name)
-        channel = full.removeprefix("simulated.")
-        try:
-            row = quantity(channel)
-        except KeyError as error:
-            text = message("report.bad_column", name=name, reason=error.args[0])
-            raise InputError(text, file=path, line=1) from None
-        values = values if unit is None else to_si(values, unit, row)
-        if channel == "t":
-            t = values
-        else:
-            sides["recorded" if channel == full else "simulated"][channel] = values
-    if t is None:
-        there = ", ".join(table.header)
-        raise InputError(message("data.no_column", name="t [s]", there=there), file=path, line=1)
-    return Series(t, **sides)
+        LogError: no time, an unknown channel, a cell that is no number."""
+    record = read_csv(path, check=False)
+    sides: dict[str, dict[str, np.ndarray]] = {"recorded": {}, "simulated": {}}
+    for name, values in record.channels.items():
+        channel = name.removeprefix("simulated.")
+        sides["recorded" if channel == name else "simulated"][channel] = values
+    return Series(record.t, **sides)
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:

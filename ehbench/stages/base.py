@@ -1,7 +1,7 @@
 """A stage takes in what its recipe names, does its work and leaves one run folder.
 
-To add a stage, write one file here with its recipe model and its `Stage`, add it to
-`stages.REGISTRY` and to `runs.versions`, and give it a section in `ehbench.report.stages`."""
+To add a stage, write its recipe model and one file here with its `Stage`, add it to
+`STAGES` and to `runs.versions`, and give it a section in `ehbench.report.stages`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
+import numpy as np
+import tomli_w
+
 from ehbench.config.recipe import Recipe, load_rig
+from ehbench.config.rig import Rig
+from ehbench.physics.flow_map import FlowMaps, save_flow_maps
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
@@ -24,9 +30,6 @@ from ehbench.vocabulary.notebook import label, shown, table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from ehbench.config.rig import Rig
-    from ehbench.physics.flow_map import FlowMaps
 
 DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
 
@@ -186,8 +189,6 @@ P = TypeVar("P", bound=Prepared)
 class Checked(ABC, Generic[R]):
     """A kind of recipe that can be checked; one that can be run is a `Stage`."""
 
-    recipe: ClassVar[type[Recipe]]
-
     @abstractmethod
     def prepare(self, recipe: R, inputs: Inputs) -> Prepared:
         """Take in what the recipe names and refuse what does not fit, without running anything.
@@ -199,13 +200,29 @@ class Checked(ABC, Generic[R]):
         """
 
 
-# by kind of recipe; `ehbench.stages` enters every stage
-REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {}
+# by kind of recipe, in the order of the data: the module and class of its stage, which is imported
+# when such a recipe is at work
+STAGES: dict[tuple[str, str | None], str] = {
+    ("identify", "flow_map"): "flow_map.FlowMapStage",
+    ("identify", "hydraulics"): "hydraulics.HydraulicsStage",
+    ("response", None): "response.ResponseStage",
+    ("validate", None): "validation.ValidationStage",
+    ("tune", None): "tuning.TuningStage",
+    ("tune", "arc"): "tuning.ArcTuningStage",
+    ("trial", None): "trial.TrialStage",
+    ("trials", None): "trials.TrialsStage",
+    ("study", None): "study.StudyStage",
+    ("export", None): "export.ExportStage",
+    ("campaign", None): "campaign.CampaignStage",
+    ("bench", None): "bench.BenchFile",
+    ("dataset", None): "bench.Dataset",
+}
 
 
-def stage_of(recipe: Recipe) -> Checked[Any]:
+def stage_of(recipe: Recipe | type[Recipe]) -> Checked[Any]:
     """The stage of a recipe."""
-    return REGISTRY[recipe.kind()]
+    module, _, name = STAGES[recipe.kind()].partition(".")
+    return getattr(import_module(f"ehbench.stages.{module}"), name)()
 
 
 class Stage(Checked[R], Generic[R, P]):
@@ -271,10 +288,6 @@ class Stage(Checked[R], Generic[R, P]):
 
 def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
     """``rig.toml``, and ``flow_maps.json`` where there are maps."""
-    import tomli_w
-
-    from ehbench.physics.flow_map import save_flow_maps
-
     if rig.model is not None:
         place = folder / Path(rig.model.fmu).name
         shutil.copyfile(rig.model.place, place)
@@ -286,8 +299,6 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
 
 def write_series(folder: Path, series: Mapping[str, Mapping[str, Any]]) -> None:
     """One CSV log for each recording: ``<name>.csv`` with recorded and simulated channels."""
-    import numpy as np
-
     folder.mkdir()
     for name, columns in series.items():
         table = np.column_stack(list(columns.values()))

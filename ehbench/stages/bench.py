@@ -1,5 +1,6 @@
 """Files of the virtual bench, which no command runs: a bench, and a dataset recorded on it."""
 
+from ehbench import trial
 from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
 from ehbench.stages.base import Checked, Prepared
 from ehbench.stages.inputs import Inputs
@@ -10,11 +11,7 @@ from ehbench.vocabulary.fields import Value
 class BenchFile(Checked[BenchRecipe]):
     """`BenchRecipe`."""
 
-    recipe = BenchRecipe
-
     def prepare(self, recipe: BenchRecipe, inputs: Inputs) -> Prepared:
-        from ehbench import trial
-
         rig = load_rig(inputs.existing(recipe.rig))
         keys = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
         trial.prepare(TrialRecipe(stage="trial", duration=Value(1.0), **keys), rig)
@@ -24,8 +21,6 @@ class BenchFile(Checked[BenchRecipe]):
 
 class Dataset(Checked[DatasetRecipe]):
     """`DatasetRecipe`, which ``python -m tools.datasets`` records."""
-
-    recipe = DatasetRecipe
 
     def prepare(self, recipe: DatasetRecipe, inputs: Inputs) -> Prepared:
         bench = inputs.existing(recipe.bench)

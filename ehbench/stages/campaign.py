@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ehbench.config.recipe import Campaign, load_recipe
+from ehbench.report.provenance import unsupported
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
@@ -24,7 +25,6 @@ class PreparedCampaign(Prepared):
 class CampaignStage(Stage[Campaign, PreparedCampaign]):
     """`Campaign`."""
 
-    recipe = Campaign
     name = "campaign"
     command = "reproduce"
     writes = "one report.html over all runs, each of which has a folder of its own"
@@ -81,7 +81,6 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     Raises:
         InputError: a folder is no whole run, or lacks what its section needs."""
     from ehbench.report import build
-    from ehbench.report.provenance import unsupported
 
     for folder in folders:
         if not rundir.is_whole(folder):

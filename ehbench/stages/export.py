@@ -1,11 +1,11 @@
 """Validated rig and tuned controller → C, functional mock-up units and files for other programs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import tomli_w
 
 from ehbench.config.recipe import (
     AnyTrial,
@@ -19,6 +19,8 @@ from ehbench.config.recipe import (
     load_recipe,
 )
 from ehbench.config.rig import Rig
+from ehbench.export import FORMATS, Export
+from ehbench.export.compiler import compiler
 from ehbench.report.provenance import TracedRun
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
@@ -28,9 +30,6 @@ from ehbench.stages.relocation import relative
 from ehbench.stages.trial import prepared_case
 from ehbench.vocabulary import EhbenchError, InputError, Progress, message
 from ehbench.vocabulary.errors import ModelRejected
-
-if TYPE_CHECKING:
-    from ehbench.export import Export
 
 
 @dataclass(frozen=True)
@@ -45,15 +44,11 @@ class PreparedExport(Prepared):
 class ExportStage(Stage[ExportRecipe, PreparedExport]):
     """`ExportRecipe`."""
 
-    recipe = ExportRecipe
     name = "export"
     command = "export"
     writes = "export.json, rig.toml, and a folder or file of each format"
 
     def prepare(self, recipe: ExportRecipe, inputs: Inputs) -> PreparedExport:
-        from ehbench.export import Export
-        from ehbench.export.compiler import compiler
-
         for target in recipe.targets:
             if compiler(target) is None:
                 text = message("export.no_compiler", target=target)
@@ -97,8 +92,6 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
         return PreparedExport(recipe, (*state.inputs, *files), does, state, export)
 
     def work(self, prepared: PreparedExport, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.export import FORMATS
-
         state, formats = prepared.state, prepared.recipe.formats
         written = []
         for i, name in enumerate(formats):
@@ -214,8 +207,6 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
     Raises:
         InputError: no such file, nothing to export, or a file of the user's in its place.
     """
-    import tomli_w
-
     given = {key: value for key, value in options.items() if value}
     if not source.exists():
         raise InputError(message("report.no_file"), file=source)

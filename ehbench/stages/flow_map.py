@@ -1,25 +1,24 @@
 """Flowmeter readings → ``flow_maps.json``, ``summary.json``, ``points.csv``, a table."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ehbench.config.recipe import FlowMapRecipe
 from ehbench.config.recipe.columns import LEAVE_OUT
+from ehbench.config.rig import Rig
+from ehbench.data.flowmeter import FlowmeterData, read_flowmeter
+from ehbench.flow_maps import tables
+from ehbench.flow_maps.readings import FlowMapOptions
+from ehbench.flow_maps.step_readings import step_readings
+from ehbench.physics.flow_map import collect, table
+from ehbench.plant.model import Model
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.vocabulary import InsufficientData, Progress, message, plural, setting
 from ehbench.vocabulary.messages import of_log
-
-if TYPE_CHECKING:
-    from ehbench.config.rig import Rig
-    from ehbench.data.flowmeter import FlowmeterData
-    from ehbench.flow_maps.tables import PreparedReadings
 
 
 @dataclass(frozen=True)
@@ -47,29 +46,22 @@ class PreparedMaps(Prepared):
 
     recipe: FlowMapRecipe
     state: RigState
-    readings: PreparedReadings | None
+    readings: tables.PreparedReadings | None
     logs: Logs | None
 
 
 class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     """`FlowMapRecipe`."""
 
-    recipe = FlowMapRecipe
     name = "flow_map"
     command = "identify"
     writes = "flow_maps.json, flow_maps.csv, summary.json, points.csv, rig.toml, figures"
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
-        from ehbench.data.flowmeter import read_flowmeter
-        from ehbench.flow_maps.tables import prepare_readings
-
         state, notes = inputs.rig_state(recipe.rig), inputs.notes
         from_logs, supply = recipe.method == "steps", float(state.rig.supply.pressure)
         parts, files, maps, lossy, logs = [], [*state.inputs], [], [], None
         if from_logs:
-            from ehbench.flow_maps.step_readings import step_readings
-            from ehbench.plant.model import Model
-
             logs, settle = inputs.logs(recipe.data, state.rig), float(recipe.settle)
             files, model = [*files, *logs.files], Model.of(state.rig)
             for name, record in logs.records:
@@ -95,17 +87,13 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             readings=sum(map(len, parts)),
             source=plural(len(recipe.data), "log" if from_logs else "file"),
         )
-        readings = prepare_readings(state.rig, parts, lossy) if parts else None
+        readings = tables.prepare_readings(state.rig, parts, lossy) if parts else None
         if readings is not None and not from_logs:
             notes.add("losses", *(f"lost: {loss}" for loss in readings.losses))
         files = (*files, *dict.fromkeys(maps))
         return PreparedMaps(recipe, files, does, state, readings, logs)
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.flow_maps import tables as readings
-        from ehbench.flow_maps.readings import FlowMapOptions
-        from ehbench.physics.flow_map import collect, table
-
         recipe, rig = prepared.recipe, prepared.state.rig
         assert prepared.readings is not None  # a run has all its readings
         drop, fits, errors = recipe.calibration_drop, [], {}
@@ -118,7 +106,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
                 progress(f"{edge.edge} {edge.side}", index / len(edges))
             known = replace(options, **_errors_of(recipe, rig, edge.edge))
             try:
-                fits.append(readings.fit_edge(rig, edge, known))
+                fits.append(tables.fit_edge(rig, edge, known))
             except InsufficientData as error:
                 errors[f"{edge.edge} {edge.side}"] = error
         without: list[str] = [
@@ -130,10 +118,10 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         if not fits:
             raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
         maps = collect([fit.map for fit in fits])
-        rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
-        write_text(folder / "points.csv", readings.points_table(fits, rig))
+        rundir.write_json(folder / "summary.json", tables.summary(fits, rig))
+        write_text(folder / "points.csv", tables.points_table(fits, rig))
         flow, drops = rig.unit_of("flow"), rig.unit_of("pressure_drop")
-        write_text(folder / "flow_maps.csv", table(maps, readings.signs(fits), flow, drops))
+        write_text(folder / "flow_maps.csv", table(maps, tables.signs(fits), flow, drops))
         write_rig(folder, rig, maps)
         warnings = [
             of_log(f"{fit.map.valve} {fit.map.direction}", text)

@@ -1,37 +1,31 @@
 """Step logs → identified rig: ``rig.toml``, maps, ``parameters.json``, series of the logs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import tomli_w
 
 from ehbench.config.recipe import HydraulicsRecipe, Recipe, read_toml
+from ehbench.config.recipe.sensor import Sensor
+from ehbench.config.rig import Rig, parameter_row
+from ehbench.frequency_response.response import Averaging
+from ehbench.guidance.comparison import comparison_of
+from ehbench.guidance.suggestions import Suggestions
+from ehbench.identification import hydraulics
+from ehbench.identification.hydraulics import PreparedFit
+from ehbench.identification.journal import Journal, journal_of
+from ehbench.identification.results import FittedParameter, HydraulicsFit
+from ehbench.identification.search import coordinates
 from ehbench.runs import rundir
 from ehbench.runtime.disk import filling, write_text
-from ehbench.stages.base import (
-    Host,
-    Outcome,
-    PreparedFromLogs,
-    Stage,
-    Work,
-    write_rig,
-    write_series,
-)
+from ehbench.stages import base
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.stages.relocation import name_from, relocated
 from ehbench.vocabulary import InputError, Progress, message, plural
-
-if TYPE_CHECKING:
-    from ehbench.config.recipe.sensor import Sensor
-    from ehbench.config.rig import Rig
-    from ehbench.guidance.suggestions import Suggestions
-    from ehbench.identification.hydraulics import PreparedFit
-    from ehbench.identification.journal import Journal
-
 
 _METHODS = {"thesis": "log decrement", "output_error": "output error"}
 # options of a fit that a recipe says as they are
@@ -42,7 +36,7 @@ _OPTIONS = (
 
 
 @dataclass(frozen=True)
-class PreparedHydraulics(PreparedFromLogs):
+class PreparedHydraulics(base.PreparedFromLogs):
     """The fit, and one with each of the dynamics to compare; None without a log, in a dry run."""
 
     recipe: HydraulicsRecipe
@@ -51,18 +45,14 @@ class PreparedHydraulics(PreparedFromLogs):
     journal: Journal | None = None
 
 
-class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
+class HydraulicsStage(base.Stage[HydraulicsRecipe, PreparedHydraulics]):
     """`HydraulicsRecipe`."""
 
-    recipe = HydraulicsRecipe
     name = "hydraulics"
     command = "identify"
     writes = "rig.toml, parameters.json, a series for each log, figures"
 
     def prepare(self, recipe: HydraulicsRecipe, inputs: Inputs) -> PreparedHydraulics:
-        from ehbench.identification.hydraulics import with_each_dynamics
-        from ehbench.identification.search import coordinates
-
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         bounds = (recipe.start, recipe.lower, recipe.upper)
         coordinates(state.rig, recipe.parameters, *bounds, recipe.at, recipe.prior)
@@ -75,7 +65,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             if compared and state.rig.model is not None:
                 where = recipe.at("compare_dynamics")
                 raise InputError(message("stages.fmu_no_laws"), **where)
-            rigs = with_each_dynamics(state.rig, compared) if compared else {}
+            rigs = hydraulics.with_each_dynamics(state.rig, compared) if compared else {}
             sensors = (*recipe.sensor, *recipe.compare_sensor)
             variants = {
                 name: _prepared_fit(recipe, state, logs, rig, sensors) for name, rig in rigs.items()
@@ -93,13 +83,9 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         return PreparedHydraulics(recipe, files, does, state, logs, fit, variants)
 
     def results(self, prepared: PreparedHydraulics) -> list[Any]:
-        from ehbench.identification.results import FittedParameter, HydraulicsFit
-
         return [dict.fromkeys(prepared.recipe.parameters, FittedParameter), HydraulicsFit]
 
-    def run(self, prepared: PreparedHydraulics, host: Host) -> Outcome:
-        from ehbench.identification.journal import journal_of
-
+    def run(self, prepared: PreparedHydraulics, host: base.Host) -> base.Outcome:
         path = prepared.recipe.path
         about = {
             "about": message("stages.journal", recipe=path.name),
@@ -110,24 +96,23 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             outcome = super().run(replace(prepared, journal=journal), host)
         return replace(outcome, notes=(*outcome.notes, *here))
 
-    def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.guidance.comparison import comparison_of
-        from ehbench.identification.hydraulics import ranked, run_fit
-
+    def work(
+        self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None
+    ) -> base.Work:
         recipe, logs = prepared.recipe, prepared.logs
         assert prepared.fit is not None  # a run has all its logs
-        fit = run_fit(prepared.fit, progress, prepared.journal)
+        fit = hydraulics.run_fit(prepared.fit, progress, prepared.journal)
         fits = {
-            name: run_fit(item, progress, prepared.journal)
+            name: hydraulics.run_fit(item, progress, prepared.journal)
             for name, item in prepared.variants.items()
         }
-        compared = [variant.as_json() for variant in (ranked(fits) if fits else ())]
-        write_rig(folder, fit.rig, prepared.state.flow_maps)
+        compared = [variant.as_json() for variant in (hydraulics.ranked(fits) if fits else ())]
+        base.write_rig(folder, fit.rig, prepared.state.flow_maps)
         additional = tables_of(recipe.sensor) | {"dynamics_comparison": compared}
         advice = comparison_of(prepared.fit).steps
         additional["advice"] = [{"key": step.key, "fields": step.fields} for step in advice]
         rundir.write_json(folder / "parameters.json", fit.as_json() | additional)
-        write_series(folder / "series", fit.series())
+        base.write_series(folder / "series", fit.series())
         fitted_on = [rundir.sha256(path) for _, path in logs.inputs]
         return prepared.done(fit.warnings, method=recipe.method, fitted_on=fitted_on)
 
@@ -148,10 +133,6 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
 
     Raises:
         InputError: the folder is there and not empty."""
-    import tomli_w
-
-    from ehbench.config.rig import parameter_row
-
     if folder.exists() and any(folder.iterdir()):
         raise InputError(message("stages.not_empty"), file=folder)
     recipe, setup = prepared.recipe, result.setups[0]
@@ -173,7 +154,7 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
     if setup.options.sensors:
         table["sensor"] = [sensor.as_toml() for sensor in setup.options.sensors]
     with filling(folder) as scratch:
-        write_rig(scratch, setup.rig, prepared.state.flow_maps)
+        base.write_rig(scratch, setup.rig, prepared.state.flow_maps)
         write_text(scratch / recipe.path.name, tomli_w.dumps(table))
         rundir.write_json(scratch / "suggestions.json", [asdict(row) for row in result.rows])
     return folder / recipe.path.name
@@ -182,15 +163,14 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
 def _prepared_fit(
     recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig, sensors: Sequence[Sensor]
 ) -> PreparedFit:
-    from ehbench.frequency_response.response import Averaging
-    from ehbench.identification.hydraulics import FitOptions, prepare_fit
-
     given = recipe.response
     response = None if given is None else (given.input, Averaging.of(given))
-    options = FitOptions(
+    options = hydraulics.FitOptions(
         **{name: getattr(recipe, name) for name in _OPTIONS},
         sensors=sensors,
         cutoff=None if recipe.cutoff is None else float(recipe.cutoff),
         response=response,
     )
-    return prepare_fit(rig, logs.records, recipe.parameters, options, state.flow_maps, recipe.at)
+    return hydraulics.prepare_fit(
+        rig, logs.records, recipe.parameters, options, state.flow_maps, recipe.at
+    )

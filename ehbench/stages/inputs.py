@@ -10,7 +10,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ehbench.config.recipe import (
     ColumnMap,
@@ -24,16 +26,20 @@ from ehbench.config.recipe import (
     whole_map,
 )
 from ehbench.config.rig import Cylinder, Rig, Valve
+from ehbench.data import read
+from ehbench.data.additional import AdditionalFile
+from ehbench.data.record import OVERRULED, Record, lost, recovered
+from ehbench.physics.flow_map import FlowMaps, load_flow_maps
+from ehbench.plant.foreign import FmuModel
+from ehbench.plant.ties import RECORDED, SUPPLY, TIED
+from ehbench.preprocessing.plausibility import travels
+from ehbench.preprocessing.preparation import distinct_names
+from ehbench.preprocessing.time_base import parts_of
 from ehbench.runs import rundir
 from ehbench.stages.notes import Notes, line_naming
 from ehbench.vocabulary import EhbenchError, InputError, message
 from ehbench.vocabulary.errors import gathered, nearest, raise_all
 from ehbench.vocabulary.fields import Value
-
-if TYPE_CHECKING:
-    from ehbench.data.additional import AdditionalFile
-    from ehbench.data.record import Record
-    from ehbench.physics.flow_map import FlowMaps
 
 NamedFiles = tuple[tuple[str, Path], ...]  # (role, file or run folder) of each input, in order
 
@@ -208,12 +214,6 @@ class Inputs:
 
         Raises:
             InputError: one is not there, or has no samples in its window."""
-        import numpy as np
-
-        from ehbench.data.record import OVERRULED, lost, recovered
-        from ehbench.preprocessing.preparation import distinct_names
-        from ehbench.preprocessing.time_base import parts_of
-
         present, available, errors = [], [], list[EhbenchError]()
         for index, item in enumerate(data):
             with gathered(errors):
@@ -285,10 +285,6 @@ class Inputs:
         rig: Rig | None,
     ) -> tuple[Record, list[AdditionalFile]]:
         """(the record of an entry, its additional files); maps of columns go into ``maps``."""
-        from ehbench.data import read
-        from ehbench.data.additional import AdditionalFile
-        from ehbench.preprocessing.plausibility import travels
-
         self.notes.tried.add(path)
         columns = None if is_run else self.columns(item, index)
         ways = {} if rig is None else travels(rig)
@@ -312,10 +308,6 @@ class Inputs:
     def _taken(self, record: Record, item: DataFile, index: int, path: Path, rig: Rig) -> Record:
         """The part of a record that an entry names, with its payload and forces, and what a
         simulation takes from it, by the entry or the recipe."""
-        import numpy as np
-
-        from ehbench.plant.ties import RECORDED, SUPPLY, TIED
-
         forces = [f.channel for axis in rig.cylinder for f in axis.force if f.kind == "channel"]
         if unknown := sorted(set(item.force) - set(forces)):
             fields = {"channel": unknown[0], "known": ", ".join(map(str, forces)) or "none"}
@@ -356,8 +348,6 @@ def refuse_fmu(rig: Rig, allowed: bool) -> None:
 
     Raises:
         InputError: says why."""
-    from ehbench.plant.foreign import FmuModel
-
     if rig.model is None:
         return
     if not allowed:
@@ -367,8 +357,6 @@ def refuse_fmu(rig: Rig, allowed: bool) -> None:
 
 def maps_in(folder: Path) -> FlowMaps | None:
     """The flow maps of a run folder, if it has any."""
-    from ehbench.physics.flow_map import load_flow_maps
-
     return load_flow_maps(folder) if (folder / "flow_maps.json").is_file() else None
 
 

@@ -4,9 +4,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from ehbench.config.recipe import HydraulicsRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose, widest
+from ehbench.guidance.profile import profile
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import TracedRun, unsupported
@@ -90,8 +93,6 @@ class NextTest:
 
         Raises:
             InputError: the file is there already."""
-        import tomli_w
-
         if path.exists():
             raise InputError(message("stages.exists"), file=path)
         trial = self.proposals[0].trial
@@ -121,7 +122,6 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
 
     Raises:
         InputError: another kind of recipe, a parameter that it does not fit."""
-    from ehbench.guidance.profile import profile
     from ehbench.report import draw
 
     recipe = expect_hydraulics(inputs.recipe)

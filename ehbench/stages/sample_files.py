@@ -7,6 +7,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
+import tomli_w
+
+from ehbench import trial
 from ehbench.config.recipe import Recipe, TrialRecipe, load_recipe
 from ehbench.report.provenance import TracedRun
 from ehbench.runtime.disk import write_text
@@ -89,8 +92,6 @@ class _Writer:
 
     def write(self, file: RecipeFile, path: Path, note: str = "") -> None:
         """A recipe as the sample has it, with all that it names."""
-        import tomli_w
-
         changes = self.files.changes_of(file.model)
         recipe = file.changed(Changes(recipe=changes.recipe), self.folder)
         before = changed_table(file.table, changes.recipe, RECIPE)
@@ -104,8 +105,6 @@ class _Writer:
             table["note"] = note
         write_text(path, tomli_w.dumps(table))
         if isinstance(recipe, TrialRecipe):
-            from ehbench import trial
-
             for code in trial.code_files(recipe):
                 if code.parent == file.path.parent:
                     shutil.copyfile(code, self.folder / code.name)

@@ -9,6 +9,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, Self, cast
 from weakref import finalize
 
+import tomli_w
+
+from ehbench import trial
 from ehbench.config.recipe import (
     AnyTrial,
     BenchRecipe,
@@ -21,6 +24,7 @@ from ehbench.config.recipe import (
     read_toml,
     validated,
 )
+from ehbench.config.rig import parameter_row
 from ehbench.runs import rundir
 from ehbench.runtime.disk import impossible, write_text
 from ehbench.sampling.cluster import Bundle, file_name
@@ -34,6 +38,7 @@ from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import relative
 from ehbench.stages.trial import PreparedOne
 from ehbench.vocabulary import EhbenchError, InputError, Progress, message
+from ehbench.vocabulary.units import parse
 
 
 @dataclass(frozen=True)
@@ -77,8 +82,6 @@ class Plan:
         for path in self.recipes:
             recipe = load_recipe(path)
             if isinstance(recipe, TrialRecipe) and self.allow_code:
-                from ehbench import trial
-
                 waiting += trial.code_files(recipe)
         seen: set[Path] = set()
         while waiting:
@@ -258,8 +261,6 @@ class Sampler:
             stage = cast(Stage, stage_of(recipe))  # others are refused
             prepared = stage.prepare(recipe, self.inputs(recipe, files))
             if isinstance(prepared, PreparedOne):  # of which nothing is written
-                from ehbench import trial
-
                 result = trial.run(prepared.trial, progress=progress)
                 facts, ledger = result.facts, None
                 if {(item.result or "").split(".")[0] for item in measures} & {"energy", "ledger"}:
@@ -325,9 +326,6 @@ def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) 
 
 
 def _si(value: Any, key: str) -> float:
-    from ehbench.config.rig import parameter_row
-    from ehbench.vocabulary.units import parse
-
     return parse(value, parameter_row(key)) if isinstance(value, str) else float(value)
 
 
@@ -357,8 +355,6 @@ def write_bench(recipe: Recipe, changes: Mapping[str, Any], path: Path) -> None:
 
     Raises:
         InputError: the recipe has no bench, or that has no such key."""
-
-    import tomli_w
 
     if "bench" not in type(recipe).model_fields:
         name, stage = next(iter(changes)), recipe.stage_name

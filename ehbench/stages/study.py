@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from ehbench import trial
 from ehbench.config.recipe import Recipe, StudyRecipe, load_recipe
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
@@ -24,16 +25,7 @@ from ehbench.sampling.outputs import MeasureColumn, write_tables
 from ehbench.sampling.pools import Processes, in_threads
 from ehbench.sampling.sample import STATUS, Run, Task, Workers
 from ehbench.sampling.summary import Summary
-from ehbench.stages.base import (
-    DONE,
-    INCOMPLETE,
-    Host,
-    Outcome,
-    Prepared,
-    Stage,
-    Work,
-    stage_of,
-)
+from ehbench.stages import base
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.sample_files import load_study, run_samples, write_sample
 from ehbench.stages.samples import Plan, Sampler, upstream_recipes
@@ -64,7 +56,7 @@ SETTINGS = StudySettings()
 
 
 @dataclass(frozen=True)
-class PreparedStudy(Prepared):
+class PreparedStudy(base.Prepared):
     """A study before its first sample.
 
     Attributes:
@@ -92,10 +84,9 @@ class PreparedStudy(Prepared):
     said: tuple[str, ...] = ()
 
 
-class StudyStage(Stage[StudyRecipe, PreparedStudy]):
+class StudyStage(base.Stage[StudyRecipe, PreparedStudy]):
     """`StudyRecipe`."""
 
-    recipe = StudyRecipe
     name = "study"
     command = "study"
     writes = "samples.parquet, samples.csv, study.json, the worst samples as runs, figures"
@@ -164,7 +155,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
     def versions(self, prepared: PreparedStudy) -> Versions:
         return prepared.versions
 
-    def run(self, prepared: PreparedStudy, host: Host) -> Outcome:
+    def run(self, prepared: PreparedStudy, host: base.Host) -> base.Outcome:
         """As `Stage.run`; samples are stored next to the run until it is complete."""
         final = self.place(prepared, host)
         journal = final.with_name(f"{final.name}.samples.jsonl")
@@ -173,7 +164,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         journal.unlink(missing_ok=True)
         return outcome
 
-    def work(self, prepared: PreparedStudy, folder: Path, progress: Progress | None) -> Work:
+    def work(self, prepared: PreparedStudy, folder: Path, progress: Progress | None) -> base.Work:
         design, recipe = prepared.design, prepared.recipe
         goes_on = prepared.resume or prepared.keep
         journal = Journal(prepared.journal, prepared.key, design.size, goes_on)
@@ -210,7 +201,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         bad = sum(counts[status] for status in ("failed", "refused", "late"))
         facts = {"samples": design.size, "warnings": [*warnings, *prepared.said]}
         here = (message("stages.begun_anew"),) * (prepared.resume and not journal.taken)
-        return Work(facts, code=INCOMPLETE if bad else DONE, here=here)
+        return base.Work(facts, code=base.INCOMPLETE if bad else base.DONE, here=here)
 
 
 def sample_recipe(study: Path, index: int, root: Path, inputs: Callable[[Recipe], Inputs]) -> Path:
@@ -235,11 +226,11 @@ def sample_recipe(study: Path, index: int, root: Path, inputs: Callable[[Recipe]
 # --- refusing what cannot be made
 
 
-def _inner(path: Path, inputs: Inputs) -> tuple[Stage, Prepared]:
+def _inner(path: Path, inputs: Inputs) -> tuple[base.Stage, base.Prepared]:
     """(stage, prepared) of a recipe that the study runs."""
     inner = load_recipe(path)
-    stage = stage_of(inner)
-    if not isinstance(stage, Stage) or stage.name in ("campaign", "study"):
+    stage = base.stage_of(inner)
+    if not isinstance(stage, base.Stage) or stage.name in ("campaign", "study"):
         name = inputs.notes.name_of(path)
         text = message("stages.not_in_study", name=name, stage=inner.stage_name)
         raise InputError(text, **inputs.recipe.at("recipe"))
@@ -316,10 +307,8 @@ def _single_keys(
         yield ("case", index), {CASE: case.name}
 
 
-def _refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> None:
+def _refuse_measures(study: StudyRecipe, prepared: base.Prepared, stage: base.Stage) -> None:
     """Refuse measures that no sample will have; the channels of a user's class are not known."""
-    from ehbench import trial
-
     roots = stage.results(prepared)
     for index, measure in enumerate(study.measures):
         where = study.at("measures", index)

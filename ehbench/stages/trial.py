@@ -1,25 +1,28 @@
 """One trial → ``log.mcap``, ``trial.json``; a limit stops it with exit 5."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ehbench import trial
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
+from ehbench.config.rig import Rig
+from ehbench.live.view import View
+from ehbench.machines.paced import PacedMachine
+from ehbench.machines.protocol import truth_of
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
+from ehbench.trial import Case, Facts
+from ehbench.trial.limit_cycle import LimitCycle
+from ehbench.trial.measures import StepMeasures
+from ehbench.trial.preparation import Prepared as Ready
 from ehbench.vocabulary import InputError, Progress, message
-
-if TYPE_CHECKING:
-    from ehbench.config.rig import Rig
-    from ehbench.trial import Case
-    from ehbench.trial.preparation import Prepared as Ready
+from ehbench.vocabulary.codes import LIMITS
 
 _TUNED = ("washout", "ramp_washout", "off_gain", "low_pressure", "cross_drop")
 
@@ -42,14 +45,11 @@ class PreparedOne(Prepared):
 class TrialStage(Stage[TrialRecipe, PreparedOne]):
     """`TrialRecipe`."""
 
-    recipe = TrialRecipe
     name = "trial"
     command = "run-trial"
     writes = "log.mcap, trial.json, ledger.json, rig.toml, figures"
 
     def prepare(self, recipe: TrialRecipe, inputs: Inputs) -> PreparedOne:
-        from ehbench import trial
-
         trial.refuse_code(recipe, inputs.allow_code)
         with inputs.notes.collected():
             trial.refuse_unknown(recipe)
@@ -76,8 +76,6 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         return place.with_name(f"{place.name}_{datetime.now():%Y%m%d_%H%M%S}")
 
     def results(self, prepared: PreparedOne) -> list[Any]:
-        from ehbench.trial import Facts
-
         loop, others = prepared.trial.loop, [Facts, {"ledger": Any}]
         if loop is None:
             return others
@@ -90,10 +88,6 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         return [first | also, *others]
 
     def work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
-        from ehbench import trial
-        from ehbench.live.view import View
-        from ehbench.machines.paced import PacedMachine
-
         state, ready, live = prepared.state, prepared.trial, prepared.live
         log, on, more, late = folder / "log.mcap", prepared.recipe.on, {}, []
         with nullcontext() if live is None else closing(View(ready, live)) as view:
@@ -125,10 +119,6 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
 @cache
 def measure_types() -> dict[str, Any]:
     """The measures of a trial with what they hold."""
-    from ehbench.trial.limit_cycle import LimitCycle
-    from ehbench.trial.measures import StepMeasures
-    from ehbench.vocabulary.codes import LIMITS
-
     return {
         "steps": tuple[StepMeasures, ...],
         "tracking": dict.fromkeys(("max_error", "rms_error", "final_error"), float),
@@ -153,10 +143,6 @@ def prepared_case(
     name: str, recipe: TrialRecipe, state: RigState, inputs: Inputs
 ) -> tuple[Case, NamedFiles, Ready]:
     """(one trial, its inputs without the rig, the trial before its first tick)."""
-    from ehbench import trial
-    from ehbench.machines.protocol import truth_of
-    from ehbench.trial import Case
-
     notes, files = inputs.notes, []
     named = [("bench", recipe.bench), *(("command", c.file) for c in recipe.command)]
     motions = () if recipe.motion is None else recipe.motion.each
@@ -201,8 +187,6 @@ def _gains(recipe: TrialRecipe, rig: Rig, inputs: Inputs) -> Path | Mapping[str,
     Raises:
         InputError: it is no tune run or recipe.
     """
-    from ehbench import trial
-
     name, law, motion = trial.gains_file(recipe), recipe.controller, recipe.motion
     if name is None or law is None:
         return None

@@ -1,23 +1,20 @@
 """Payloads × motions × controllers → ``logs/<case>.mcap``, ``table.json`` and ``.csv``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ehbench import trial
 from ehbench.config.recipe import TrialSetRecipe
+from ehbench.config.rig import Rig
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.trial import PLACES, length_of, measure_types, prepared_case, time_is_known
+from ehbench.trial import Case
+from ehbench.trial.preparation import Prepared as Ready
 from ehbench.vocabulary import InputError, Progress, message, plural
-
-if TYPE_CHECKING:
-    from ehbench.config.rig import Rig
-    from ehbench.trial import Case
-    from ehbench.trial.preparation import Prepared as Ready
 
 
 @dataclass(frozen=True)
@@ -37,14 +34,11 @@ class PreparedSet(Prepared):
 class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
     """`TrialSetRecipe`."""
 
-    recipe = TrialSetRecipe
     name = "trials"
     command = "run-trial"
     writes = "a log and a ledger for each trial, table.json, table.csv, rig.toml, figures"
 
     def prepare(self, recipe: TrialSetRecipe, inputs: Inputs) -> PreparedSet:
-        from ehbench import trial
-
         if inputs.live is not None:
             raise InputError(message("stages.live_of_set"), file=recipe.path)
         planned = recipe.cases()
@@ -92,8 +86,6 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         return [{case.name: item for case in prepared.cases}]
 
     def work(self, prepared: PreparedSet, folder: Path, progress: Progress | None) -> Work:
-        from ehbench import trial
-
         cases, rig = prepared.cases, prepared.base.rig
         (folder / "logs").mkdir()
         (folder / "ledgers").mkdir()

@@ -1,22 +1,21 @@
 """Validated rig → ``tuning.json``: gains, and what they promise at operating points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
+from ehbench.control.arc_gains import check_modelled
+from ehbench.plant.design_point import unmodelled_of
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, REJECTED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, ValidatedRig
+from ehbench.tune.arc import ArcTuning, tune_arc
+from ehbench.tune.gains import tune_pressure_feedback
+from ehbench.tune.results import Tuning
+from ehbench.tune.study import Study, prepare_tuning
 from ehbench.vocabulary import InsufficientData, Progress, message, plural
 from ehbench.vocabulary.errors import ModelRejected
-
-if TYPE_CHECKING:
-    from ehbench.tune.arc import ArcTuning
-    from ehbench.tune.results import Tuning
-    from ehbench.tune.study import Study
 
 R = TypeVar("R", bound=AnyTuning)
 
@@ -35,8 +34,6 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
     writes = "tuning.json, rig.toml, figures"
 
     def _prepared(self, recipe: R, inputs: Inputs, **seeds: int) -> PreparedTuning[R]:
-        from ehbench.tune.study import prepare_tuning
-
         state, study = inputs.rig_state(recipe.rig, recipe.flow_maps), None
         if not isinstance(state, ValidatedRig):
             if not inputs.unvalidated:
@@ -84,12 +81,9 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
 class TuningStage(_AnyTuningStage[TuneRecipe]):
     """`TuneRecipe`."""
 
-    recipe = TuneRecipe
     name = "tuning"
 
     def results(self, prepared: PreparedTuning[TuneRecipe]) -> list[Any]:
-        from ehbench.tune.results import Tuning
-
         return [Tuning]
 
     def prepare(self, recipe: TuneRecipe, inputs: Inputs) -> PreparedTuning[TuneRecipe]:
@@ -98,8 +92,6 @@ class TuningStage(_AnyTuningStage[TuneRecipe]):
     def work(
         self, prepared: PreparedTuning[TuneRecipe], folder: Path, progress: Progress | None
     ) -> Work:
-        from ehbench.tune.gains import tune_pressure_feedback
-
         assert prepared.study is not None  # a run without operating points is refused
         if progress is not None:
             progress("operating points", 0.0)
@@ -113,18 +105,12 @@ class TuningStage(_AnyTuningStage[TuneRecipe]):
 class ArcTuningStage(_AnyTuningStage[ArcTuneRecipe]):
     """`ArcTuneRecipe`."""
 
-    recipe = ArcTuneRecipe
     name = "arc_tuning"
 
     def results(self, prepared: PreparedTuning[ArcTuneRecipe]) -> list[Any]:
-        from ehbench.tune.arc import ArcTuning
-
         return [ArcTuning]
 
     def prepare(self, recipe: ArcTuneRecipe, inputs: Inputs) -> PreparedTuning[ArcTuneRecipe]:
-        from ehbench.control.arc_gains import check_modelled
-        from ehbench.plant.design_point import unmodelled_of
-
         prepared = self._prepared(recipe, inputs)
         rig = prepared.state.rig
         cylinder = recipe.cylinder or rig.cylinder[0].name
@@ -136,7 +122,5 @@ class ArcTuningStage(_AnyTuningStage[ArcTuneRecipe]):
     def work(
         self, prepared: PreparedTuning[ArcTuneRecipe], folder: Path, progress: Progress | None
     ) -> Work:
-        from ehbench.tune.arc import tune_arc
-
         assert prepared.study is not None  # a run without operating points is refused
         return self._written(prepared, folder, tune_arc(prepared.study, progress))

@@ -1,12 +1,10 @@
 """Held-out logs → the rig judged: ``validation.json`` with the verdict, series."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ehbench.config.recipe import (
     DataFile,
@@ -16,18 +14,28 @@ from ehbench.config.recipe import (
     kind_of,
     load_recipe,
 )
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.preprocessing.observations import payload_of
+from ehbench.report.provenance import TracedRun
+from ehbench.report.saved import read_series
 from ehbench.runs import rundir
 from ehbench.stages.base import REJECTED, PreparedFromLogs, Stage, Work, write_rig, write_series
 from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, RigState, span_of
 from ehbench.stages.notes import Notes
+from ehbench.stages.planning import recipe_of
+from ehbench.validation import (
+    PreparedValidation,
+    models_of,
+    prepare_log,
+    run_validation,
+    speaking_against,
+)
+from ehbench.validation.held_out import FittedSamples, overlaps
+from ehbench.validation.results import Validation
 from ehbench.vocabulary import EhbenchError, Progress, from_si, message, plural, quantity
 from ehbench.vocabulary.messages import of_log
-
-if TYPE_CHECKING:
-    from ehbench.config.rig import Rig
-    from ehbench.data.record import Record
-    from ehbench.validation import PreparedValidation
 
 
 @dataclass(frozen=True)
@@ -42,17 +50,11 @@ class PreparedJudgement(PreparedFromLogs):
 class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
     """`ValidateRecipe`."""
 
-    recipe = ValidateRecipe
     name = "validation"
     command = "validate"
     writes = "validation.json, rig.toml, a series for each log, figures"
 
     def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
-        from ehbench.preprocessing.observations import payload_of
-        from ehbench.report.saved import read_series
-        from ehbench.validation import PreparedValidation, models_of, prepare_log
-        from ehbench.validation.held_out import FittedSamples, overlaps
-
         notes = inputs.notes
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         logs = inputs.logs(recipe.data, state.rig)
@@ -102,13 +104,9 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         return PreparedJudgement(recipe, files, does, state, logs, validation, texts)
 
     def results(self, prepared: PreparedJudgement) -> list[Any]:
-        from ehbench.validation.results import Validation
-
         return [Validation, {"accepted": bool}]
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.validation import run_validation, speaking_against
-
         state, recipe, validation = prepared.state, prepared.recipe, prepared.validation
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
@@ -166,9 +164,6 @@ def in_rig_unit(rig: Rig, name: str, value: float) -> str:
 
 def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]:
     """The logs that the run behind a rig fitted it to, none where they are not as they were."""
-    from ehbench.report.provenance import TracedRun
-    from ehbench.stages.planning import recipe_of
-
     try:
         fit = TracedRun(state.origin)
         recipe = recipe_of(fit)

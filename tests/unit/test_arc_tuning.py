@@ -10,7 +10,7 @@ import pytest
 
 from ehbench.config.recipe import ArcTuneRecipe, load_recipe
 from ehbench.report.saved import Saved
-from ehbench.report.stages.arc_tuning import REPORT
+from ehbench.report.stages.arc_tuning import findings
 from ehbench.runs.rundir import write_json
 from ehbench.trial import prepare
 from ehbench.tune.arc import ARC_SEARCH, CHOSEN, Search, tune_arc
@@ -81,7 +81,7 @@ def test_the_next_step_asks_for_what_was_reached_of_the_margins_missed(gain, pha
         rig=rig(),
         json=lambda name: {"met": False, "cylinder": "boom", "constraints": demanded, **reached},
     )
-    (step,) = REPORT.findings(cast(Saved, run)).next
+    (step,) = findings(cast(Saved, run)).next
     assert step.hint == keys
     recipe = asked(**tomllib.loads(keys))
     assert all(

@@ -218,8 +218,8 @@ def test_no_two_figures_share_a_file(unpainted, tmp_path):
     ("read", "text", "key", "line"),
     [
         (read_points, "valve,direction,command [V],flow [gpm],method\n", "data.no_column", 1),
-        (read_series, "t [s],boom.wobble\n0,1\n", "report.bad_column", 1),
-        (read_series, "boom.q [rad]\n1\n", "data.no_column", 1),
+        (read_series, "t [s],boom.wobble\n0,1\n", "data.unknown_channel", 1),
+        (read_series, "boom.q [rad]\n1\n", "data.no_time_or_channel", 1),
         (read_series, "t [s],boom.q [rad]\n0,1\n1\n", None, 3),
     ],
 )
@@ -236,7 +236,7 @@ def test_series_are_read_in_si_and_a_missing_entry_is_named(tmp_path):
         Table({"a": {"c": 1}}, tmp_path)["a"]["b"]
     assert caught.value.key == "report.no_key"
     path = tmp_path / "s.csv"
-    head = "t [ms],boom.q [deg],simulated.boom.q [rad],boom.hect.command"
+    head = "t [ms],boom.q [deg],simulated.boom.q [rad],boom.hect.command [V]"
     path.write_text(f"{head}\n0,180,3,1\n500,90,2,1\n")
     series = read_series(path)
     assert series.t.tolist() == [0.0, 0.5]

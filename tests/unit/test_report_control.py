@@ -15,10 +15,15 @@ from ehbench.report import build, draw, energy_tables
 from ehbench.report.cases import Case, cases_of, groups_of, payload_at_end
 from ehbench.report.comparisons import lasting
 from ehbench.report.figures import root_locus
-from ehbench.report.figures.trial import FUNCTION_SHADES, LIMIT_SHADES, stretches
-from ehbench.report.figures.trials import plot_errors, wide_panels
+from ehbench.report.figures.trial import (
+    FUNCTION_SHADES,
+    LIMIT_SHADES,
+    plot_errors,
+    stretches,
+    wide_panels,
+)
 from ehbench.report.saved import FigureIndex, Saved, Series, Table
-from ehbench.report.stages.tuning import REPORT, overshoot_of
+from ehbench.report.stages.tuning import findings, overshoot_of
 from ehbench.report.trial_captions import (
     ESTIMATES,
     compared_caption,
@@ -172,16 +177,16 @@ def test_what_a_damped_tuning_misses_is_asked_for(tmp_path):
     worst = min(one["margins"]["bandwidth"] or 1e9 for one in tuning()["points"] if one["counts"])
     given = {"met": False, "damping_ratio": 0.9, "constraints": {"bandwidth": 2 * worst}}
     folder = tune_run(tmp_path, "slow", **given, **LEAN)
-    (step,) = REPORT.findings(Saved(folder)).next
+    (step,) = findings(Saved(folder)).next
     assert step.key == "steps.smaller_margins" and step.hint.startswith('bandwidth = "')
     # all that is missed at once: pasted, it is met
     folder = tune_run(tmp_path, "both", **given | {"damping_ratio": 0.123, "target": 0.5}, **LEAN)
-    (step,) = REPORT.findings(Saved(folder)).next
+    (step,) = findings(Saved(folder)).next
     damping, bandwidth = step.hint.splitlines()
     assert damping == 'damping_ratio = "0.12"' and bandwidth.startswith('bandwidth = "')
     # a loop that swings has no damping to ask for
     folder = tune_run(tmp_path, "swings", **given | {"damping_ratio": -0.1, "target": 0.5}, **LEAN)
-    (step,) = REPORT.findings(Saved(folder)).next
+    (step,) = findings(Saved(folder)).next
     assert step.hint == ""
 
 

@@ -2,6 +2,7 @@
 
 import tomllib
 from types import SimpleNamespace
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from ehbench.data.logs import write_log
 from ehbench.plant.model import Model
 from ehbench.report.stages import SECTIONS
 from ehbench.report.terminal import Answer
-from ehbench.stages import REGISTRY, Stage
+from ehbench.stages import STAGES as KINDS
+from ehbench.stages import Stage, stage_of
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.tuning import TuningStage
 from ehbench.vocabulary import InputError, message
@@ -22,12 +24,15 @@ from ehbench.vocabulary.commands import COMMANDS
 from tests.shared import RIGS, ROOT, shipped
 from tools.virtual_logs import virtual_log
 
-STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
+EVERY = {kind: stage_of(model) for kind, model in recipe.recipe_kinds().items()}
+STAGES = [stage for stage in EVERY.values() if isinstance(stage, Stage)]
 KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}
 
 
 def test_every_kind_of_recipe_has_its_stage():
-    assert recipe.recipe_kinds() == {kind: stage.recipe for kind, stage in REGISTRY.items()}
+    assert EVERY.keys() == KINDS.keys()
+    for kind, model in recipe.recipe_kinds().items():  # by the type that it prepares
+        assert get_type_hints(type(EVERY[kind]).prepare)["recipe"] is model
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)

@@ -1,6 +1,9 @@
 """What the report knows of each kind of run, by the ``what`` of its ``run.json``.
 
-A new section is one file here and one line in ``SECTIONS``; the order is that of the page."""
+A new section is one file here and one row of ``SECTIONS``; the order is that of the page."""
+
+from types import ModuleType
+from typing import Any
 
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
@@ -21,18 +24,53 @@ from ehbench.report.stages import (
 from ehbench.report.words import words
 from ehbench.vocabulary import plural
 
+
+def _report(
+    module: ModuleType,
+    label: str,
+    shows: tuple[str, ...],
+    file: str,
+    keys: tuple[str, ...] = (),
+    **others: Any,
+) -> StageReport:
+    """How a run is reported by a module here: by its ``section``, and by its ``draw`` and
+    ``findings`` where it has them; other arguments as in `StageReport`."""
+    calls = ("section", "draw", "findings")
+    known = {name: getattr(module, name) for name in calls if hasattr(module, name)}
+    return StageReport(label, **known, shows=shows, numbers=(file, keys), **others)
+
+
+_GAINS = ("met", "feedback_gain", "washout", "damping_ratio", "damping_ratio_open")
+_VERDICT = ("accepted", "reasons", "reservations", "black_box", "thresholds")
+_FITTED = ("parameter", "value", "unit", "95 % interval", "status", "bounds")
+_MARGINS = ("met", "gains", *arc_tuning.MARGINS)
+_ENDED = ("duration", "stopped", "measures")
 SECTIONS: dict[str, StageReport] = {
-    "flow_map": flow_maps.REPORT,
-    "hydraulics": hydraulics.REPORT,
-    "profile": profile.REPORT,
-    "response": response.REPORT,
-    "validation": validation.REPORT,
-    "tuning": tuning.REPORT,
-    "arc_tuning": arc_tuning.REPORT,
-    "trial": trial.REPORT,
-    "trials": trials.REPORT,
-    "study": study.REPORT,
-    "export": export.REPORT,
+    "flow_map": _report(flow_maps, "flow maps", ("Deadbands",), "summary.json", standing=1),
+    "hydraulics": _report(
+        *(hydraulics, "identification", ("Parameters",), "parameters.json"),
+        keys=("parameters", "warnings"),
+        standing=1,
+        columns=_FITTED,
+    ),
+    "profile": _report(profile, "profile likelihood", ("Profile",), "profile.json"),
+    "response": _report(response, "frequency response", ("Numbers",), "response.json"),
+    "validation": _report(
+        *(validation, "validation", ("Verdict",), "validation.json"),
+        keys=_VERDICT,
+        standing=2,
+        columns=("log", "check", "result"),
+    ),
+    "tuning": _report(tuning, "tuning", ("The gain",), "tuning.json", _GAINS),
+    "arc_tuning": _report(arc_tuning, "tuning", ("The bandwidths",), "tuning.json", _MARGINS),
+    "trial": _report(trial, "trial", ("Measures", "Trial"), "trial.json", _ENDED),
+    "trials": _report(
+        *(trials, "trials", ("Measures",), "table.json"),
+        keys=("rows",),
+        findings=trial.trials_findings,
+    ),
+    "study": _report(study, "study", ("Results",), "study.json"),
+    "export": _report(export, "export", ("Results",), "export.json", ("written",)),
 }
 
 

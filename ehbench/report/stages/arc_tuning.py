@@ -6,7 +6,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Fold, Part, Text
-from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
+from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent
 from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.stages.tuning import reached_demands, supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
@@ -14,7 +14,7 @@ from ehbench.report.template import Template
 from ehbench.report.words import axis, measure, shown, words
 from ehbench.vocabulary import message, plural
 
-_MARGINS = ("gain_margin", "phase_margin", "delay_margin")
+MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -70,7 +70,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         Text(page.text("verdict", tuning=tuning), "good" if met else "bad"),
         *supply_blocks(rig, tuning),
         *pictures(kind="margins"),
-        page.table("margins", _MARGINS, tuning=tuning),
+        page.table("margins", MARGINS, tuning=tuning),
         page.table("gains", tuning["gains"].items()),
     ]
     every = Fold(f"All {plural(len(points), 'operating point')}", [page.table("points", points)])
@@ -88,13 +88,3 @@ def findings(run: Saved) -> Findings:
     keys = reached_demands(run.rig, tuning["constraints"], tuning)
     steps = [message("steps.smaller_margins", keys=keys)] if against else []
     return Findings(numbers, [{"kind": "margins"}], against, steps)
-
-
-REPORT = StageReport(
-    "tuning",
-    section,
-    draw,
-    findings,
-    shows=("The bandwidths",),
-    numbers=("tuning.json", ("met", "gains", *_MARGINS)),
-)

@@ -1,7 +1,7 @@
 """An export: what was written, and how it was checked."""
 
 from ehbench.report.blocks import Cell, Grid, Part
-from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.content import Pictures, SectionContent
 from ehbench.report.saved import Saved
 from ehbench.vocabulary import plural
 
@@ -16,6 +16,3 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     table = Grid(["file", "check on this machine", "what"], rows)
     sentence = f"{plural(len(written), 'export')} written."
     return SectionContent("done", sentence, [Part("Results", [table])])
-
-
-REPORT = StageReport("export", section, shows=("Results",), numbers=("export.json", ("written",)))

@@ -8,16 +8,8 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.physics.flow_map import FlowMap
+from ehbench.report import content
 from ehbench.report.blocks import Part
-from ehbench.report.content import (
-    OFTEN,
-    Findings,
-    Headline,
-    Pictures,
-    SectionContent,
-    StageReport,
-    names,
-)
 from ehbench.report.saved import FigureIndex, Points, Saved, Table, read_points
 from ehbench.report.style import (
     ACCENT,
@@ -256,7 +248,7 @@ def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list
     return handles
 
 
-def section(run: Saved, pictures: Pictures) -> SectionContent:
+def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     """Maps, inverse maps, deadbands, calibration, readings left out."""
     maps, page = run.rows("summary.json"), Template("flow_maps", run.rig)
     calibration = [(item, point) for item in maps for point in item["calibration"]]
@@ -290,10 +282,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         left_out=len(left_out),
         verdicts=[point["verdict"] for _, point in calibration],
     )
-    return SectionContent("done", sentence, parts)
+    return content.SectionContent("done", sentence, parts)
 
 
-def findings(run: Saved) -> Findings:
+def findings(run: Saved) -> content.Findings:
     maps, page = run.rows("summary.json"), Template("headlines", run.rig)
     value, about = page.text("deadbands", maps=maps), plural(len(maps), "flow map")
     missing = [
@@ -303,17 +295,6 @@ def findings(run: Saved) -> Findings:
         if point["verdict"] != "met"
     ]
     against = list(dict.fromkeys(missing))
-    steps = [message("steps.calibrate", **names(run))] if against else []
-    numbers = [Headline(OFTEN, "Deadbands", value, about)]
-    return Findings(numbers, [{"kind": "flow_map"}], against, steps)
-
-
-REPORT = StageReport(
-    "flow maps",
-    section,
-    draw,
-    findings,
-    standing=1,
-    shows=("Deadbands",),
-    numbers=("summary.json", ()),
-)
+    steps = [message("steps.calibrate", **content.names(run))] if against else []
+    numbers = [content.Headline(content.OFTEN, "Deadbands", value, about)]
+    return content.Findings(numbers, [{"kind": "flow_map"}], against, steps)

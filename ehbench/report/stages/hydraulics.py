@@ -8,23 +8,9 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.rig import Rig
+from ehbench.report import content
 from ehbench.report.blocks import Block, Bullets, Grid, Heat, Part, Text
 from ehbench.report.comparisons import draw_comparisons, draw_responses
-from ehbench.report.content import (
-    OFTEN,
-    PARAMETER,
-    Findings,
-    Headline,
-    Pictures,
-    SectionContent,
-    StageReport,
-    folded,
-    names,
-    num,
-    remedy_step,
-    weight,
-    written_step,
-)
 from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
 from ehbench.report.template import Template
@@ -102,7 +88,7 @@ def draw_parameters(path: Path, rig: Rig, result: Sequence[Table]) -> None:
             ax.set_title(words(item["status"]), loc="right", **status)
 
 
-def section(run: Saved, pictures: Pictures) -> SectionContent:
+def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     """Parameters with intervals, correlation, what was matched, and the fit to each log."""
     page, fit = Template("hydraulics", run.rig), run.json("parameters.json")
     parameters = estimates_of(fit)
@@ -127,7 +113,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     channels = dict.fromkeys(name for log in fit["logs"] for name in log["fit_percent"])
     fitted = list(dict.fromkeys(channel.rsplit(".", 1)[1] for channel in channels))
     fits = [page.table("logs", rows, fitted=fitted)] if rows else []
-    fits += folded(pictures(kind="fit"), "recorded and simulated")
+    fits += content.folded(pictures(kind="fit"), "recorded and simulated")
     variants = fit.get("dynamics_comparison", [])
     parts = [
         Part("Parameters", inside),
@@ -143,7 +129,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     fields = {"parameters": parameters, "logs": fit["logs"], "weak": weak}
     first = (sound or parameters)[0]
     sentence = page.text("sentence", method=fit["method"], first=first, **fields)
-    return SectionContent("partly_estimated" if weak else "done", sentence, parts)
+    return content.SectionContent("partly_estimated" if weak else "done", sentence, parts)
 
 
 def _parameters(page: Template, parameters: Sequence[Table], sensors: Sequence[Table]) -> Grid:
@@ -204,8 +190,8 @@ def _dynamics(page: Template, variants: Sequence[Table]) -> list[Block]:
         undecided=[other["dynamics"] for other in others if other["interval"][0] <= 1.0],
         lags=[sensor for sensor in sensors if sensor["word"] == "lag"],
     )
-    errors = {v["dynamics"]: num(number(v["relative_rms"], 4)) for v in variants}
-    ends = {v["dynamics"]: num(interval(*v["interval"])) for v in others}
+    errors = {v["dynamics"]: content.num(number(v["relative_rms"], 4)) for v in variants}
+    ends = {v["dynamics"]: content.num(interval(*v["interval"])) for v in others}
     rows: list[dict[str, Any]] = [
         {"text": "error relative to the best", "cells": errors},
         {"text": "its 95 % interval", "cells": {best["dynamics"]: ""} | ends},
@@ -216,10 +202,10 @@ def _dynamics(page: Template, variants: Sequence[Table]) -> list[Block]:
         if variant.get("fit")
     }
     for name in dict.fromkeys(name for fitted in fits.values() for name in fitted):
-        cells = {variant["dynamics"]: num(DASH) for variant in variants}
+        cells = {variant["dynamics"]: content.num(DASH) for variant in variants}
         for dynamics, fitted in fits.items():
             if name in fitted:
-                cells[dynamics] = num(as_fitted(page.rig, name, fitted[name]))
+                cells[dynamics] = content.num(as_fitted(page.rig, name, fitted[name]))
         rows.append({"text": axis(page.rig, name, name), "cells": cells})
     return [Text(text), page.table("dynamics", rows, variants=list(variants))]
 
@@ -232,7 +218,7 @@ def _spread(item: Table) -> float:
     return abs((ends[1] - ends[0]) / (2.0 * value))
 
 
-def findings(run: Saved) -> Findings:
+def findings(run: Saved) -> content.Findings:
     page, fit = Template("headlines", run.rig), run.json("parameters.json")
     sensitive, parameters = fit.get("leans", [])[:1], estimates_of(fit)
     known = [parameter for parameter in parameters if parameter.number("value") is not None]
@@ -243,8 +229,8 @@ def findings(run: Saved) -> Findings:
         owner = name.rpartition(".")[0]
         label = title_of(name) + (f", {owner}" if owner else "")
         value, about = page.text("parameter_value", item=item), page.text("parameter", item=item)
-        rank = OFTEN if place else PARAMETER
-        numbers.append(Headline(rank, label, value, about))
+        rank = content.OFTEN if place else content.PARAMETER
+        numbers.append(content.Headline(rank, label, value, about))
     residual = str(fit.get("left_over") or "").partition(":")[0]  # its meaning is in the chapter
     # a doubtful one is explained by the number that it is sensitive to
     weak = [item for item in parameters if item["status"] not in ("estimated", DOUBTFUL)]
@@ -252,16 +238,16 @@ def findings(run: Saved) -> Findings:
     against = [*written, *(item["sentence"] for item in sensitive)] + [residual] * bool(residual)
     against += [page.text("weak", item=item) for item in weak]
     steps = [message(item["key"], **item["fields"]) for item in fit.get("advice", [])]
-    doubts = [(weight(note.fields), written_step(note.fields)) for note in written]
+    doubts = [(content.weight(note.fields), content.written_step(note.fields)) for note in written]
     for item in sensitive:  # what somebody measured seldom is what is wrong
-        share = weight({"share": item["explains"]})
+        share = content.weight({"share": item["explains"]})
         if residual and getattr(item["sentence"], "fields", {}).get("known"):
-            first = message("steps.suggest_first", **names(run), number=item["name"])
+            first = message("steps.suggest_first", **content.names(run), number=item["name"])
             doubts.append((share, first))
             residual = ""
-        doubts.append((share, remedy_step(item["remedy"])))
+        doubts.append((share, content.remedy_step(item["remedy"])))
     steps += [step for _, step in sorted(doubts, key=lambda pair: -pair[0])]
-    steps += [message("steps.suggest", **names(run))] * bool(residual)
+    steps += [message("steps.suggest", **content.names(run))] * bool(residual)
     # of each status the least known; a test for what is told to a hundredth would be in vain
     vague = [item for item in weak if item["status"] != "correlated" or not _spread(item) < TOLD]
     worst: dict[str, str] = {}
@@ -269,8 +255,8 @@ def findings(run: Saved) -> Findings:
         worst.setdefault(item["status"], item["name"])
     for status, parameter in worst.items():
         key = "steps.bound" if status == "at_bound" else "steps.settle"
-        steps.append(message(key, **names(run), parameter=parameter))
-    return Findings(numbers, [{"kind": "parameters"}], against, steps)
+        steps.append(message(key, **content.names(run), parameter=parameter))
+    return content.Findings(numbers, [{"kind": "parameters"}], against, steps)
 
 
 def estimates_of(fit: Table) -> list[Table]:
@@ -286,15 +272,3 @@ def estimates_of(fit: Table) -> list[Table]:
         else parameter
         for parameter in fit["parameters"]
     ]
-
-
-REPORT = StageReport(
-    "identification",
-    section,
-    draw,
-    findings,
-    standing=1,
-    shows=("Parameters",),
-    columns=("parameter", "value", "unit", "95 % interval", "status", "bounds"),
-    numbers=("parameters.json", ("parameters", "warnings")),
-)

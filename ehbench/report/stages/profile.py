@@ -6,7 +6,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Part
-from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.content import Pictures, SectionContent
 from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, key, legend, shades
 from ehbench.report.template import Template
@@ -75,8 +75,3 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     inside = [page.table("ends", rows, name=name), *pictures(kind="profile")]
     sentence = page.text("sentence", result=result, value=value, shape=shape)
     return SectionContent("done", sentence, [Part("Profile", inside)])
-
-
-REPORT = StageReport(
-    "profile likelihood", section, draw, shows=("Profile",), numbers=("profile.json", ())
-)

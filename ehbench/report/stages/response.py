@@ -8,7 +8,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Bullets, Grid, Part
-from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
+from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent
 from ehbench.report.saved import FigureIndex, Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
@@ -137,8 +137,3 @@ def findings(run: Saved) -> Findings:
             numbers.append(Headline(OFTEN, capital(label), value, about))
     steps = [] if "transfers" in table else [message("steps.forms")]
     return Findings(numbers, [{"kind": "response"}], table["warnings"], steps)
-
-
-REPORT = StageReport(
-    "frequency response", section, draw, findings, shows=("Numbers",), numbers=("response.json", ())
-)

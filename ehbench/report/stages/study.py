@@ -6,16 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.report import content
 from ehbench.report.blocks import Block, Bullets, Part
-from ehbench.report.content import (
-    OFTEN,
-    Findings,
-    Headline,
-    Pictures,
-    SectionContent,
-    StageReport,
-    names,
-)
 from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, SIMULATED, canvas, key, legend
 from ehbench.report.template import Template
@@ -194,7 +186,7 @@ def draw_map(
         figure.colorbar(image, ax=ax, label=label, fraction=0.05)
 
 
-def section(run: Saved, pictures: Pictures) -> SectionContent:
+def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     """Measures and targets, then by swept values, what moves them, and the worst samples."""
     study, page = run.json("study.json"), Template("study")
     unfinished = [
@@ -238,7 +230,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     ]
     ended = sum(study["status"].get(word, 0) for word in _ENDED)
     sentence = page.text("sentence", study=study, ended=ended)
-    return SectionContent("done", sentence, [part for part in parts if part.inside])
+    return content.SectionContent("done", sentence, [part for part in parts if part.inside])
 
 
 def _case_tables(run: Saved, page: Template, study: Table) -> list[Block]:
@@ -266,13 +258,13 @@ def _case_tables(run: Saved, page: Template, study: Table) -> list[Block]:
     return [page.table("cases", rows, measures=ways)]
 
 
-def findings(run: Saved) -> Findings:
+def findings(run: Saved) -> content.Findings:
     study, page = run.json("study.json"), Template("headlines")
     numbers = []
     for target in study["targets"]:
         value = f"{number(100.0 * target['share'], 3)} %"
         label, about = (page.text(key, target=target) for key in ("target", "share"))
-        numbers.append(Headline(OFTEN, label, value, about))
+        numbers.append(content.Headline(content.OFTEN, label, value, about))
     aimed = [target["measure"] for target in study["targets"]]
     spread = [item for item in study["measures"] if item.get("quantiles")]
     for item in spread:
@@ -281,7 +273,9 @@ def findings(run: Saved) -> Findings:
             quantiles = {q["share"]: q["value"] for q in item["quantiles"]}
             label = f"{capital(words(item['name']))}, median"
             about = page.text("spread", item=item, upper=quantiles[0.95], unit=unit)
-            numbers.append(Headline(OFTEN, label, f"{number(quantiles[0.5], 3)}{unit}", about))
+            numbers.append(
+                content.Headline(content.OFTEN, label, f"{number(quantiles[0.5], 3)}{unit}", about)
+            )
     figures = [{"kind": "spread", "case": name} for name in aimed] + [{"kind": "map"}]
     figures += [{"kind": "spread", "case": item["name"]} for item in spread]
     lost = ("failed", "refused", "late")
@@ -290,10 +284,7 @@ def findings(run: Saved) -> Findings:
     against = [
         page.text("lost", count=n, samples=samples, status=word) for word, n in ended.items()
     ]
-    steps = [message("steps.lost_samples", **names(run), status=words(word)) for word in ended]
-    return Findings(numbers, figures, against, steps)
-
-
-REPORT = StageReport(
-    "study", section, draw, findings, shows=("Results",), numbers=("study.json", ())
-)
+    steps = [
+        message("steps.lost_samples", **content.names(run), status=words(word)) for word in ended
+    ]
+    return content.Findings(numbers, figures, against, steps)

@@ -7,20 +7,9 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
+from ehbench.report import content
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
 from ehbench.report.cases import Case, by_controller, cases_of, damping
-from ehbench.report.content import (
-    OFTEN,
-    SAVED,
-    STEPS,
-    TRACKING,
-    Findings,
-    Headline,
-    Pictures,
-    SectionContent,
-    StageReport,
-    names,
-)
 from ehbench.report.energy_tables import Saving, saving_blocks, savings_of
 from ehbench.report.figures import sankey
 from ehbench.report.figures import trial as figures
@@ -97,7 +86,7 @@ def draw_sankey(index: FigureIndex, trial: Case, key: str, title: str, **about: 
         sankey.sankey(path, ledger)
 
 
-def section(run: Saved, pictures: Pictures) -> SectionContent:
+def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     """Where it ran, how it ended, and its figures; under a controller also how it did."""
     facts, cases, page = run.json("trial.json"), cases_of(run), Template("trial", run.rig)
     stopped, on, payload = facts.get("stopped", ""), facts["on"], facts.get("payload", "none")
@@ -117,7 +106,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if not cases:
         parts = [Part("Trial", [*inside, Grid(["", ""], rows)]), *_link_parts(run, facts)]
         fields = {"duration": facts["duration"], "on": on, "payload": payload, "stopped": stopped}
-        return SectionContent(status, page.text("open_loop", **fields), parts)
+        return content.SectionContent(status, page.text("open_loop", **fields), parts)
     rows.insert(1, ["controller", words(facts["controller"])])
     rows.insert(2, ["cylinder", ", ".join(item.cylinder for item in cases)])
     parts = [Part("Trial", inside), Part("Measures", measure_tables(run.rig, cases))]
@@ -126,7 +115,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         parts.append(Part("Energy", [*saving_blocks(run.rig, cases[:1]), *energy]))
     settings = [Grid(["", ""], rows), *settings_blocks(run.rig, cases)]
     parts.append(Part("Settings", settings, paper=False))
-    return SectionContent(status, case_caption(run.rig, cases[0]), parts)
+    return content.SectionContent(status, case_caption(run.rig, cases[0]), parts)
 
 
 def _link_parts(run: Saved, facts: Mapping[str, Any]) -> list[Part]:
@@ -148,29 +137,21 @@ def _link_parts(run: Saved, facts: Mapping[str, Any]) -> list[Part]:
     return [Part("Dry run and machine", [Grid(head, rows), Grid(["link", ""], lines)])]
 
 
-def findings(run: Saved) -> Findings:
+def findings(run: Saved) -> content.Findings:
     facts = run.json("trial.json")
     if facts.get("controller"):
         return trials_findings(run)
     stopped, page = facts.get("stopped", ""), Template("headlines")
     against = [page.text("stopped", name=run.title, reason=stopped)] if stopped else []
     value, payload = f"{number(facts['duration'])} s", load_name(facts.get("payload", "none"))
-    numbers = [Headline(OFTEN, f"Trial on the {facts['on']}", value, payload)]
+    numbers = [content.Headline(content.OFTEN, f"Trial on the {facts['on']}", value, payload)]
     key = "stopped" if stopped else "fit_machine" if "link" in facts else "fit_log"
-    return Findings(numbers, [{"kind": "trial"}], against, [message(f"steps.{key}", **names(run))])
+    return content.Findings(
+        numbers, [{"kind": "trial"}], against, [message(f"steps.{key}", **content.names(run))]
+    )
 
 
-REPORT = StageReport(
-    "trial",
-    section,
-    draw,
-    findings,
-    shows=("Measures", "Trial"),
-    numbers=("trial.json", ("duration", "stopped", "measures")),
-)
-
-
-def trials_findings(run: Saved) -> Findings:
+def trials_findings(run: Saved) -> content.Findings:
     rig, cases, page = run.rig, cases_of(run), Template("headlines", run.rig)
     against = [
         page.text("stopped", name=case.row["case"], reason=case.row["stopped"])
@@ -188,15 +169,15 @@ def trials_findings(run: Saved) -> Findings:
         fields = {"best": best, "worst": worst, "ratios": ratios[worst], "on": cases[0].row["on"]}
         about, value = page.text("damped", **fields), span(ratios[best], 2)
         label = "Damping ratio of steps"
-        numbers.append(Headline(STEPS, label, value, about, _modelled(cases)))
+        numbers.append(content.Headline(content.STEPS, label, value, about, _modelled(cases)))
     figures = [{"kind": kind} for kind in ("energy", "compare", "trial")]
-    steps = [message("steps.stopped", **names(run))] if against else []
+    steps = [message("steps.stopped", **content.names(run))] if against else []
     if cases and _modelled(cases) and not against:  # what stopped here would stop there
         steps = [message("steps.on_machine")]
-    return Findings(numbers, figures, against, steps)
+    return content.Findings(numbers, figures, against, steps)
 
 
-def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
+def _tracked(rig: Rig, cases: Sequence[Case]) -> list[content.Headline]:
     """The largest error of the controller that tracks best, of motions that are no steps: that of
     the tip where there is one, of the true stroke where it is known. A four-way valve that others
     are compared with is no choice."""
@@ -220,10 +201,10 @@ def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     about = page.text("tracked", law=law, case=worst, errors=errors)
     label = "Largest tip error" if tips else "Largest tracking error"
     value = measure(rig, quantity, error(worst), 2)
-    return [Headline(TRACKING, label, value, about, _modelled(group))]
+    return [content.Headline(content.TRACKING, label, value, about, _modelled(group))]
 
 
-def _saved(page: Template, cases: Sequence[Case]) -> list[Headline]:
+def _saved(page: Template, cases: Sequence[Case]) -> list[content.Headline]:
     """What the controller that saves most draws less than a four-way valve."""
     savings = [item for item in savings_of(cases) if not item.is_spool]
     groups = grouped(savings, lambda item: item.case.row["controller"])
@@ -240,7 +221,11 @@ def _saved(page: Template, cases: Sequence[Case]) -> list[Headline]:
     fields = {"compared": compared, "law": law, "on": group[0].case.row["on"], "halves": halves}
     value = f"{span([100.0 * share(item) for item in group], 2)} %"
     on_model = _modelled([item.case for item in group])
-    return [Headline(SAVED, "Pump energy saved", value, page.text("saved", **fields), on_model)]
+    return [
+        content.Headline(
+            content.SAVED, "Pump energy saved", value, page.text("saved", **fields), on_model
+        )
+    ]
 
 
 def _modelled(cases: Sequence[Case]) -> bool:

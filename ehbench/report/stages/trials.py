@@ -5,23 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from ehbench.config.rig import Rig
+from ehbench.report import trial_captions as captions
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text, slug
 from ehbench.report.cases import Case, cases_of, groups_of
-from ehbench.report.content import Pictures, SectionContent, StageReport, folded
+from ehbench.report.content import Pictures, SectionContent, folded
 from ehbench.report.energy_tables import saving_blocks, supply_blocks
-from ehbench.report.figures import trials as figures
+from ehbench.report.figures import trial as figures
 from ehbench.report.figures.energy import bars
 from ehbench.report.saved import FigureIndex, Saved
-from ehbench.report.stages.trial import draw_case, draw_sankey, trials_findings
-from ehbench.report.trial_captions import (
-    compared_caption,
-    controller_captions,
-    energy_caption,
-    map_caption,
-    standstill_caption,
-    trajectory_caption,
-    trials_caption,
-)
+from ehbench.report.stages.trial import draw_case, draw_sankey
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import capital, load_name, pretty, shown, unit_of, words
 
@@ -34,9 +26,8 @@ def draw(run: Saved, index: FigureIndex) -> None:
             first = group[0]
             payload, motion = first.row["payload"], first.row["motion"]
             records = [case.record() for case in group]
-            caption = (
-                f"{compared_caption(rig, group)} {standstill_caption(rig, group, records)}".rstrip()
-            )
+            lasting = captions.standstill_caption(rig, group, records)
+            caption = f"{captions.compared_caption(rig, group)} {lasting}".rstrip()
             path = index.add(
                 f"compare_{slug(load_name(payload), '_')}_{slug(motion, '_')}",
                 f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
@@ -51,7 +42,8 @@ def draw(run: Saved, index: FigureIndex) -> None:
     if first:  # what is desired of the cylinder in each motion that is no steps of speed
         drawn = [(name, first[name], first[name].record()) for name in reversed(first)]
         spans = "; ".join(
-            f"{words(name)} {trajectory_caption(rig, case, log)}" for name, case, log in drawn
+            f"{words(name)} {captions.trajectory_caption(rig, case, log)}"
+            for name, case, log in drawn
         )
         title, caption = f"Trajectories, on the {cases[0].row['on']}", capital(spans)
         path = index.add("trajectories", title, f"Desired motion. {caption}.", "trajectories")
@@ -60,7 +52,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
         of_motion = [case for case in cases if case.row["motion"] == motion]
         named = [f"{c.row['controller']}, {load_name(c.row['payload'])}" for c in of_motion]
         title = f"Energy: {words(motion)}, on the {of_motion[0].row['on']}"
-        key, caption = f"energy_{slug(motion, '_')}", energy_caption(rig, of_motion)
+        key, caption = f"energy_{slug(motion, '_')}", captions.energy_caption(rig, of_motion)
         path = index.add(key, title, caption, "energy", motion=motion)
         ledgers = [ledger for case in of_motion if (ledger := case.energy()) is not None]
         if len(ledgers) == len(of_motion):
@@ -96,7 +88,7 @@ def _draw_map(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
         for law in laws
     ]
     title = f"Pump energy over load and speed, on the {cases[0].row['on']}"
-    caption = map_caption(panels)
+    caption = captions.map_caption(panels)
     path = index.add("energy_map", title, caption, "energy_map")
     unit = pretty(unit_of(rig, "energy"))
     figures.energy_map(
@@ -141,11 +133,6 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         Part("Other trials" if named else "Each trial", folds),
         Part("Settings", settings_blocks(rig, cases), paper=False),
     ]
-    more = tuple(controller_captions(rig, cases))
+    more = tuple(captions.controller_captions(rig, cases))
     status = "stopped" if stopped else "done"
-    return SectionContent(status, trials_caption(cases), parts, more)
-
-
-REPORT = StageReport(
-    "trials", section, draw, trials_findings, shows=("Measures",), numbers=("table.json", ("rows",))
-)
+    return SectionContent(status, captions.trials_caption(cases), parts, more)

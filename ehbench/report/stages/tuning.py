@@ -7,17 +7,8 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.rig import Rig, Slide
+from ehbench.report import content
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Part, Text
-from ehbench.report.content import (
-    DAMPING,
-    OFTEN,
-    Findings,
-    Headline,
-    Pictures,
-    SectionContent,
-    StageReport,
-    folded,
-)
 from ehbench.report.figures import root_locus
 from ehbench.report.figures.circuit import circuit, flow_words
 from ehbench.report.saved import FigureIndex, Saved, Table
@@ -258,7 +249,7 @@ def draw_draws(path: Path, tuning: Table) -> None:
         ax.margins(x=0.06)
 
 
-def section(run: Saved, pictures: Pictures) -> SectionContent:
+def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     """Functions, equivalents, points, gains, loci, steps, what else was tried, draws."""
     rig, tuning = run.rig, run.json("tuning.json")
     page, met, points = Template("tuning", rig), tuning["met"], tuning["points"]
@@ -305,7 +296,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         corners=list(dict.fromkeys(measure(rig, "washout", corner) for corner in corners)),
         many=len(corners) > 1,
     )
-    return SectionContent("met" if met else "missed", sentence, parts)
+    return content.SectionContent("met" if met else "missed", sentence, parts)
 
 
 def _metering(item: Table) -> Table:
@@ -342,13 +333,13 @@ def supply_blocks(rig: Rig, tuning: Table) -> list[Block]:
     return [Text(Template("tuning", rig).text("supply", supply=supply), "note")]
 
 
-def _by_count(pictures: Pictures, kind: str) -> list[Block]:
+def _by_count(pictures: content.Pictures, kind: str) -> list[Block]:
     """Figures of the functions that count and those that a campaign names; the others folded."""
     drawn = pictures(kind=kind)
     uncounted = {p.id for p in pictures(counts="no") if p.named is None}
     others = [picture for picture in drawn if picture.id in uncounted]
     counting = [picture for picture in drawn if picture.id not in uncounted]
-    return [*counting, *folded(others, "functions that no load calls for")]
+    return [*counting, *content.folded(others, "functions that no load calls for")]
 
 
 def _minimum(points: Sequence[Table], key: str) -> float | None:
@@ -396,15 +387,15 @@ def reached_demands(rig: Rig, demands: Mapping[str, Any], reached: Mapping[str, 
     return "\n".join(lines)
 
 
-def findings(run: Saved) -> Findings:
+def findings(run: Saved) -> content.Findings:
     page, tuning = Template("headlines", run.rig), run.json("tuning.json")
     draws = tuning["robustness"]
     about = page.text("damping", tuning=tuning, draws=draws)
     label = f"Worst damping ratio, {words(tuning['cylinder'])}"
     gain = page.text("gain", gains=sorted(set(tuning["feedback_gain"].values())))
     numbers = [
-        Headline(DAMPING, label, number(tuning["damping_ratio"], 2), about),
-        Headline(OFTEN, "Feedback gain K_p", gain),
+        content.Headline(content.DAMPING, label, number(tuning["damping_ratio"], 2), about),
+        content.Headline(content.OFTEN, "Feedback gain K_p", gain),
     ]
     against = [] if tuning["met"] else [page.text("missed")]
     demands = {"damping_ratio": tuning["target"], **tuning["constraints"].plain()}
@@ -414,17 +405,4 @@ def findings(run: Saved) -> Findings:
     share = draws["share"] if draws["draws"] else 1.0
     if share < 1.0:
         against.append(page.text("missed_draws", share=1.0 - share))
-    return Findings(numbers, [{"kind": "damping"}], against, steps)
-
-
-REPORT = StageReport(
-    "tuning",
-    section,
-    draw,
-    findings,
-    shows=("The gain",),
-    numbers=(
-        "tuning.json",
-        ("met", "feedback_gain", "washout", "damping_ratio", "damping_ratio_open"),
-    ),
-)
+    return content.Findings(numbers, [{"kind": "damping"}], against, steps)

@@ -7,21 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.report import content
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
 from ehbench.report.comparisons import draw_comparisons, draw_responses
-from ehbench.report.content import (
-    FIT,
-    Findings,
-    Headline,
-    Pictures,
-    SectionContent,
-    StageReport,
-    look_of,
-    names,
-    remedy_step,
-    weight,
-    written_step,
-)
 from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
@@ -81,7 +69,7 @@ def _banded(ax, correlations: Sequence[Table], looks: dict) -> None:
     ax.axhline(0.0, color=MUTED, linewidth=0.6)
 
 
-def section(run: Saved, pictures: Pictures) -> SectionContent:
+def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     """Verdict, checks, errors by channel, ringing side by side, and a figure a log."""
     table, page = run.json("validation.json"), Template("validation", run.rig)
     status = "accepted" if table["accepted"] else "rejected"
@@ -114,11 +102,11 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     fields["doubt"] = next(iter(doubts(table)), {})
     fields["reservation"] = next(iter(table.get("reservations", [])), "")
     sentence = page.text("sentence", status=status, logs=logs, fits=fits, **fields)
-    return SectionContent(status, sentence, parts)
+    return content.SectionContent(status, sentence, parts)
 
 
 def _verdict(page: Template, table: Table, status: str) -> list[Block]:
-    blocks: list[Block] = [Text(page.text("verdict", status=status), look_of(status))]
+    blocks: list[Block] = [Text(page.text("verdict", status=status), content.look_of(status))]
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
     if reservations := table.get("reservations", []):
@@ -127,15 +115,19 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
         blocks.append(Bullets(left, "warn"))
     if unjudged := silence(table):
         blocks.append(Text(unjudged, "note"))
-    chips = {log["name"]: Cell("shown only", look_of("shown only")) for log in table["logs"]}
+    chips = {
+        log["name"]: Cell("shown only", content.look_of("shown only")) for log in table["logs"]
+    }
     for log in held_out(table):  # a model is rejected by more than its thresholds
         chips[log["name"]] = (
-            Cell("checks passed", look_of("passed"))
+            Cell("checks passed", content.look_of("passed"))
             if log.get("passed")
             else Cell("checks failed", "bad")
         )
     chips |= {
-        n["name"]: Cell("failed", look_of("failed")) for n in table["logs"] if n.get("failure")
+        n["name"]: Cell("failed", content.look_of("failed"))
+        for n in table["logs"]
+        if n.get("failure")
     }
     blocks.append(page.table("logs", table["logs"], results=chips))
     channels = [(log, item) for log in table["logs"] for item in log.get("channels", [])]
@@ -172,7 +164,7 @@ def others_rows(table: Table) -> list[dict[str, Any]]:
     return rows
 
 
-def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
+def _log_blocks(page: Template, log: Table, pictures: content.Pictures) -> list[Block]:
     """One log: figures, errors by channel, ringing, residual correlations, warnings."""
     blocks: list[Block] = []
     if log.get("failure"):
@@ -199,7 +191,7 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
     return blocks
 
 
-def findings(run: Saved) -> Findings:
+def findings(run: Saved) -> content.Findings:
     table, page = run.json("validation.json"), Template("headlines", run.rig)
     logs = held_out(table)
     fits = [
@@ -214,23 +206,23 @@ def findings(run: Saved) -> Findings:
         is_judged = channel.rpartition(".")[2] in judged(table)
         fields = {"channel": channel, "log": log, "best": max(fits)[0], "judged": is_judged}
         label, about = page.text("worst_fit_label", logs=logs), page.text("worst_fit", **fields)
-        numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
+        numbers = [content.Headline(content.FIT, label, f"{number(worst, 2)} %", about)]
         figures = [{"kind": "validation", "log": log}, *figures]
     first: dict[str, Message] = {}  # by what each one changes
     for doubt in [*doubts(table), *(table.get("structure") or {}).get("findings", [])]:
         if "where" in doubt:
-            first.setdefault(doubt["line"], written_step(doubt))
+            first.setdefault(doubt["line"], content.written_step(doubt))
         elif remedy := doubt.get("remedy"):
             changes = getattr(remedy, "fields", {}).get("names") or remedy
-            first.setdefault(changes, remedy_step(remedy))
+            first.setdefault(changes, content.remedy_step(remedy))
     steps = [*first.values()][:3]
     if not table["accepted"] and not steps:
         checks = (check for log in logs for check in log.get("checks", []))
         failed = dict.fromkeys(check["what"] for check in checks if not check["passed"])
         text = "; ".join([*failed][:3]) or page.text("not_judged")
-        steps = [message("steps.failing", **names(run), checks=text)]
+        steps = [message("steps.failing", **content.names(run), checks=text)]
     against = table["reasons"] or [*table.get("reservations", []), *left_over(table)]
-    return Findings(numbers, figures, against, steps)
+    return content.Findings(numbers, figures, against, steps)
 
 
 def held_out(table: Table) -> list[Table]:
@@ -246,13 +238,15 @@ def doubts(table: Table) -> list[Mapping[str, Any]]:
         [getattr(item, "fields", {}) for item in table.get(key, [])]
         for key in ("reasons", "reservations")
     )
-    denied = min((weight(fields) for fields in reasons if "estimate" in fields), default=math.inf)
+    denied = min(
+        (content.weight(fields) for fields in reasons if "estimate" in fields), default=math.inf
+    )
     caps = [math.inf] * len(reasons) + [
         denied if "cause" in fields else math.inf for fields in others
     ]
     every = zip([*reasons, *others], caps, strict=True)
     able = [(item, cap) for item, cap in every if item.keys() & {"remedy", "where"}]
-    able.sort(key=lambda pair: -min(weight(pair[0]), pair[1]))
+    able.sort(key=lambda pair: -min(content.weight(pair[0]), pair[1]))
     return [item for item, _ in able]
 
 
@@ -294,15 +288,3 @@ def silence(table: Table) -> str:
             fields = {"key": test, "limit": limit, "beyond": beyond, "tested": len(tested)}
             parts.append(page.text("silent_test", **fields))
     return page.text("silence", parts=parts)
-
-
-REPORT = StageReport(
-    "validation",
-    section,
-    draw,
-    findings,
-    standing=2,
-    shows=("Verdict",),
-    columns=("log", "check", "result"),
-    numbers=("validation.json", ("accepted", "reasons", "reservations", "black_box", "thresholds")),
-)
