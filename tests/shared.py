@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Collection, Mapping
 from functools import cache
@@ -96,6 +97,12 @@ def contents(folder: Path) -> dict[str, bytes]:
         for path in sorted(folder.rglob("*"))
         if path.is_file() and path.name != "volatile.json"
     }
+
+
+def result(name: str, file: str) -> dict[str, Any]:
+    """A file of the one run of a recipe in ``reports``."""
+    (path,) = Path("reports").glob(f"{name}_*/{file}.json")
+    return json.loads(path.read_text())
 
 
 def judged(rig: Rig, logs, channels=(), thresholds=None, fitted_on=()) -> Validation:

@@ -157,20 +157,21 @@ def ahead() -> None:
 def main() -> None:
     """Compile for all machines, a process each processor, and say how far it is.
 
-    The plant comes first, as processes that need it at once would each compile it."""
+    The plant comes first, as processes that need it at once would each compile it; beside it what
+    an export compiles for any processor, which takes longest and shares nothing with it."""
     if sys.argv[1:] == ["--ahead"]:
         return ahead()
     model, *others = get_args(TrialSetRecipe.model_fields["on"].annotation)
     compile_dir(PACKAGE, quiet=2)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
     with ProcessPoolExecutor(cores(), mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(trials, model, ""), pool.submit(fits, "fits of flow maps")]
+        jobs = [pool.submit(trials, model, ""), pool.submit(exports, "exports")]
         jobs[0].result()
         jobs += [pool.submit(trials, model, law) for law in reversed(LAW_NAMES)]
         jobs += [pool.submit(replays, "replays")]
         jobs += [pool.submit(trials, machine, "", *LAW_NAMES) for machine in others]
         jobs += [pool.submit(together, "trials of several cylinders")]
-        jobs += [pool.submit(exports, "exports")]
+        jobs += [pool.submit(fits, "fits of flow maps")]
         for job in as_completed(jobs):
             print(f"compiled: {job.result()}", file=sys.stderr, flush=True)
 

@@ -1,6 +1,5 @@
 """Campaigns: every shipped recipe is sound, and the same campaign twice gives the same bytes."""
 
-import json
 import os
 import re
 import shutil
@@ -53,25 +52,23 @@ def test_every_recipe_of_the_docs_is_there():
 
 
 @pytest.mark.slow
-def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
-    recipe = ROOT / "recipes" / "slide_servo" / "campaign.toml"
-    made = workflow.run(recipe, workflow.Session(root=tmp_path / "again"))
-    assert made.code == workflow.DONE
-    one, two = contents(slide_runs), contents(tmp_path / "again")
-    assert one.keys() == two.keys() and any(name.endswith("report.html") for name in one)
-    assert [name for name in one if one[name] != two[name]] == []
-
-
-@pytest.mark.slow
-def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(slide_runs, undrawn, tmp_path):
-    recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
+def test_a_damaged_run_is_made_again_to_the_same_bytes_and_one_that_stands_is_kept(
+    slide_runs, tmp_path, request
+):
+    """By a campaign of whose runs one is there, damaged, and then by a recipe that needs it."""
     (stands,) = slide_runs.glob("hydraulics_*")
-    source = Path(shutil.copytree(stands, tmp_path / stands.name))
-    before = (source / "volatile.json").stat().st_mtime_ns
-    made = workflow.run(recipe, workflow.Session(root=tmp_path))
-    assert (source / "volatile.json").stat().st_mtime_ns == before
-    (source / "parameters.json").write_text("{}")
-    workflow.run(recipe, workflow.Session(root=tmp_path))
-    assert json.loads((source / "parameters.json").read_text())["parameters"]
-    assert made.json("validation")["accepted"]
-    assert made.rig.parameters()["bulk_modulus"].sure == "identified"
+    fit = Path(shutil.copytree(stands, tmp_path / stands.name))
+    (fit / "parameters.json").write_text("{}")
+    session = workflow.Session(root=tmp_path)
+    made = workflow.run(ROOT / "recipes" / "slide_servo" / "campaign.toml", session)
+    assert made.code == workflow.DONE
+    one, two = contents(slide_runs), contents(tmp_path)
+    assert any(name.endswith("report.html") for name in one)
+    assert [name for name in one if one[name] != two.get(name)] == []
+    assert two.keys() - one.keys() == {f"salvaged/{fit.name}/parameters.json"}
+    before = (fit / "volatile.json").stat().st_mtime_ns
+    request.getfixturevalue("undrawn")
+    judged = workflow.run(ROOT / "recipes" / "slide_servo" / "validation.toml", session)
+    assert (fit / "volatile.json").stat().st_mtime_ns == before
+    assert judged.json("validation")["accepted"]
+    assert judged.rig.parameters()["bulk_modulus"].sure == "identified"

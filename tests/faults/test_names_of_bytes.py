@@ -13,7 +13,14 @@ from ehbench.app import starter
 from ehbench.config.recipe.toml import read_text
 from ehbench.vocabulary.errors import InputError
 
-RIG, STEP = b"r\xfeg.toml", b"st\xfdp.toml"
+RIG, STEP, FIT = b"r\xfeg.toml", b"st\xfdp.toml", b"i\xfcd"
+# in recipes; a fit to one log is enough
+NAMED = {
+    b"rig.toml": RIG,
+    b"step_small.toml": STEP,
+    b'"identify.toml"': b'"../' + FIT + b'"',
+    b'  "step_large.toml",\n': b"",
+}
 
 
 @pytest.fixture
@@ -42,7 +49,9 @@ def workspace(tmp_path) -> bytes:
     os.rename(recipes + b"step_small.toml", recipes + STEP)
     for name in os.listdir(recipes):
         with open(recipes + name, "rb+") as file:
-            text = file.read().replace(b"rig.toml", RIG).replace(b"step_small.toml", STEP)
+            text = file.read()
+            for old, new in NAMED.items():
+                text = text.replace(old, new)
             file.seek(0)
             file.write(text)
             file.truncate()
@@ -51,22 +60,22 @@ def workspace(tmp_path) -> bytes:
 
 @pytest.mark.slow
 def test_a_fit_its_verdict_and_their_report_are_saved_whole(ehbench, workspace):
-    fit, verdict, page = b"i\xfcd", b"v\xfca", b"p\xfcg"
-    printed = ehbench(workspace, "identify", "recipes/identify.toml", "-q", "--out", fit)
-    assert printed == fit + b"\n"
+    verdict, page = b"v\xfca", b"p\xfcg"
+    printed = ehbench(workspace, "identify", "recipes/identify.toml", "-q", "--out", FIT)
+    assert printed == FIT + b"\n"
     ehbench(workspace, "validate", "recipes/validate.toml", "--out", verdict)
-    ehbench(workspace, "next", fit, "--out", b"n\xfct.toml")
+    ehbench(workspace, "next", FIT, "--out", b"n\xfct.toml")
     ehbench(workspace, "check", b"n\xfct.toml")
-    ehbench(workspace, "report", fit, verdict, "--out", page)
+    ehbench(workspace, "report", FIT, verdict, "--out", page)
     assert b"bulk_modulus = " in ehbench(workspace, "why", "bulk_modulus", page)
-    for run in (fit, verdict, page):
+    for run in (FIT, verdict, page):
         for name in os.listdir(workspace + b"/" + run):
             if name.endswith(b".json"):
                 with open(workspace + b"/" + run + b"/" + name, encoding="utf-8") as file:
                     json.load(file)
-    with open(workspace + b"/" + fit + b"/volatile.json", encoding="utf-8") as file:
+    with open(workspace + b"/" + FIT + b"/volatile.json", encoding="utf-8") as file:
         noted = json.load(file)
-    assert os.fsencode(noted["argv"][-1]) == fit
+    assert os.fsencode(noted["argv"][-1]) == FIT
     assert os.fsencode(noted["inputs"][0]) == os.path.realpath(workspace) + b"/" + RIG
 
 

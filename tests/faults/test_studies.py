@@ -420,8 +420,10 @@ def test_gains_of_a_rig_of_other_numbers_are_noted_wherever_they_are_used(tmp_pa
     facts = {"validated": False, "reservations": ["mass: 3 % more", "bore: 1 % more"]}
     (tmp_path / "tuned" / "tuning.json").write_text(json.dumps(tuning))
     (tmp_path / "tuned" / "run.json").write_text(json.dumps(facts))
+    # in even steps: kernels of this law in others would be compiled for this alone
     text = """stage = "trial"
 rig = "{rig}"
+step = "0.5 ms"
 [motion]
 kind = "point_to_point"
 waypoints = ["60 mm", "62 mm"]

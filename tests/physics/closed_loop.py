@@ -39,19 +39,52 @@ class Trace(NamedTuple):
     flows: np.ndarray
 
 
+class Seen(NamedTuple):
+    """What the controller sees: past samples, the newest first, of which it gets the mean of the
+    last two, the last by its ``share``."""
+
+    past: np.ndarray
+    share: float
+
+
+class Drive(NamedTuple):
+    """What the controller commands, what of that some ``valves`` get ``louder`` about ``steady``,
+    and integration steps in a tick."""
+
+    command: np.ndarray
+    steady: np.ndarray
+    valves: np.ndarray
+    louder: float
+    steps: int
+
+
 @allocating_kernel
-def on_model(y, reference, law, command, plant, line, steps, trace):
-    """Run a controller on the model."""
-    k = np.empty((5, y.shape[0]))
-    work = np.empty(plant.at.work)
-    sample = np.empty(trace.log.shape[1])
-    perfect_sample(y, plant, sample)
+def on_model(y, reference, law, seen, drive, plant, line, trace):
+    """Run a controller on the model. All that is run on one is run by this: to compile it takes
+    longer than most of the tests."""
+    past, share, last = seen.past, seen.share, seen.past.shape[0] - 1
+    k, work = np.empty((5, y.shape[0])), np.empty(plant.at.work)
+    given = drive.command.copy()
+    perfect_sample(y, plant, past[0])
     for i in range(reference.shape[0]):
-        law_tick(i * line.tick, sample, reference[i], law, command, trace.telemetry[i])
-        trace.log[i], trace.commands[i] = sample, command
-        derivatives(y, command, plant, k[0], work)
+        late = (1.0 - share) * past[last - 1] + share * past[last]
+        law_tick(i * line.tick, late, reference[i], law, drive.command, trace.telemetry[i])
+        trace.log[i], trace.commands[i] = past[0], drive.command
+        derivatives(y, drive.command, plant, k[0], work)
         trace.flows[i] = work[plant.at.flow :]
-        model_tick(y, command, plant, line, steps, k, work, sample)
+        given[:] = drive.command
+        for valve in drive.valves:
+            given[valve] += (drive.louder - 1.0) * (drive.command[valve] - drive.steady[valve])
+        for row in range(last, 0, -1):
+            past[row] = past[row - 1]
+        model_tick(y, given, plant, line, drive.steps, k, work, past[0])
+
+
+def trace_of(model, names, count):
+    """Room for a trace of so many ticks; ``names`` are those of the law's telemetry."""
+    layout = model.layout
+    widths = sample_size(len(layout.cylinders)), len(names), len(layout.valves)
+    return Trace(*(np.zeros((count, n)) for n in (*widths, len(layout.edges) + 1)))
 
 
 @dataclass
@@ -101,17 +134,18 @@ def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None)
 def run_from(y, model, ax, gains, reference, law, mask=None, memory=None):
     """A trial of a law from a state; ``memory`` is that before the first tick, a channel with
     ``mask`` False is NaN in what the controller gets."""
-    layout, count, tick = model.layout, len(reference), float(gains.tick)
-    channels = sample_size(len(layout.cylinders))
+    count, tick = len(reference), float(gains.tick)
     names = law.channels("c", tuple(f"e{i}" for i in range(ax.circuit.count)))
-    widths = channels, len(names), len(layout.valves), len(layout.edges) + 1
-    trace = Trace(*(np.zeros((count, width)) for width in widths))
+    trace = trace_of(model, names, count)
+    channels = trace.log.shape[1]
     memory = law.memory(ax) if memory is None else memory
     mask = law.observed(ax, channels) if mask is None else mask
     controller = Controller(ax, gains, memory, mask, np.zeros(channels), late_of())
-    line, steps = line_of(model.plant, tick), max(1, round(tick / STEP))
-    command = model.rest_commands(1)[0]
-    on_model(y, reference, controller, command, model.plant, line, steps, trace)
+    command, none = model.rest_commands(1)[0], np.zeros(0, int)
+    drive = Drive(command, command.copy(), none, 1.0, max(1, round(tick / STEP)))
+    seen = Seen(np.zeros((2, channels)), 0.0)
+    line = line_of(model.plant, tick)
+    on_model(y, reference, controller, seen, drive, model.plant, line, trace)
     columns = zip(names, trace.telemetry.T, strict=True)
     told = {name.removeprefix("c."): column for name, column in columns}
     return Run(reference, trace.log, told, trace.commands, trace.flows, np.arange(count) * tick)

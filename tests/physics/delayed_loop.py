@@ -1,72 +1,29 @@
 """Adaptive robust control on the noise-free model, its samples late: what judges its margins."""
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
+from closed_loop import TICK, Drive, Seen, on_model, trace_of
 
 from ehbench.config.recipe import TuneRecipe
 from ehbench.control import arc
 from ehbench.control.arc_gains import pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Controller, late_of
-from ehbench.control.registry import tick as law_tick
-from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
-from ehbench.runtime.compiled import allocating_kernel
 from ehbench.tune.arc_loop import SampledPlant, Sensing, steady_memory
 from ehbench.tune.operating_point import state_of
 from ehbench.tune.study import prepare_tuning
 
-TICK = 1.0e-3
 GAINS = {
     "defaults": {},
     "livelier": {"lag_budget": 0.6, "robust_limit": 0.3},
     "slow observer": {"lag_budget": 0.5, "observer_bandwidth": 90.0},
     "fast adaptation": {"adaptation": 3.5},
 }
-
-
-class Told(NamedTuple):
-    """What the controller is told: past samples, the newest first, and where it looks."""
-
-    past: np.ndarray
-    share: float
-
-
-class Drive(NamedTuple):
-    """The controller, what it commands, and what of that is ``louder`` about ``steady``."""
-
-    law: Any
-    command: np.ndarray
-    steady: np.ndarray
-    valves: np.ndarray
-    louder: float
-
-
-@allocating_kernel
-def follow(y, reference, told, drive, plant, line, column, strokes):
-    """Run from a state along a steady speed, and keep the strokes (``column`` of a sample)."""
-    past, share, last = told.past, told.share, told.past.shape[0] - 1
-    k, work = np.empty((5, y.shape[0])), np.empty(plant.at.work)
-    sample, given = past[0].copy(), drive.command.copy()
-    telemetry = np.zeros(arc.COLUMNS + 4 * drive.law.axis.circuit.count)
-    x = reference[0]
-    for i in range(strokes.shape[0]):
-        seen = (1.0 - share) * past[last - 1] + share * past[last]
-        reference[0] = x + (i * line.tick) * reference[1]
-        law_tick(i * line.tick, seen, reference, drive.law, drive.command, telemetry)
-        strokes[i] = sample[column]
-        given[:] = drive.command
-        for valve in drive.valves:
-            given[valve] += (drive.louder - 1.0) * (drive.command[valve] - drive.steady[valve])
-        model_tick(y, given, plant, line, 2, k, work, sample)
-        for row in range(last, 0, -1):
-            past[row] = past[row - 1]
-        past[0] = sample
 
 
 class Bench:
@@ -107,7 +64,6 @@ class Bench:
         model, point, site = at.model, at.point, self.site
         plant, layout = model.plant, model.layout
         y, command = state_of(model, point)
-        steady = command.copy()
         valves = np.array(sorted({path.valve for path in point.paths}))
         own = site.axis.circuit.cylinder
         row = plant.cylinders[own]
@@ -127,14 +83,16 @@ class Bench:
         before = np.arange(whole + 2) * TICK * point.v
         past[:, entry(own, OF.x)] -= before
         past[:, entry(own, OF.q)] -= before / point.lever
-        reference = np.array([point.x, point.v, 0.0, 0.0])
-        told = Told(past, delay / TICK - whole)
-        drive = Drive(law, command, steady, valves, float(louder))
-        strokes = np.empty(round(span / TICK))
-        line, column = line_of(plant, TICK), entry(own, OF.x)
-        follow(y, reference, told, drive, plant, line, column, strokes)
+        reference = np.zeros((round(span / TICK), 4))
+        reference[:, 0] = point.x + (np.arange(len(reference)) * TICK) * point.v
+        reference[:, 1] = point.v
+        drive = Drive(command, command.copy(), valves, float(louder), 2)
+        names = arc.LAW.channels("c", ("",) * site.axis.circuit.count)
+        trace = trace_of(model, names, len(reference))
+        seen, line = Seen(past, delay / TICK - whole), line_of(plant, TICK)
+        on_model(y, reference, law, seen, drive, plant, line, trace)
         assert math.isfinite(y[row.joint])
-        return strokes
+        return trace.log[:, entry(own, OF.x)]
 
     def grows(self, at, gains, delay, push=2.0e-4, louder=1.0):
         """Whether a push swings more and more: the last third of the time against that before."""

@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from ehbench.flow_maps.shape import Shape, gaps_of, likeliest_smoothing
 from ehbench.flow_maps.spline import Axis
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
 from ehbench.vocabulary.errors import InsufficientData
+from tests import valve_laws
 from tests.shared import refused
 from tests.valve_laws import (
     BAR,
@@ -31,12 +32,14 @@ from tests.valve_laws import (
     parabola,
     poppet,
     pressed,
-    readings,
     servo,
     soft,
     swept,
     two_lands,
 )
+
+# every second drop makes the same map at half the time
+readings = partial(valve_laws.readings, drops=DROPS[::2])
 
 
 def fit(data, file="", line=None, **options):
@@ -47,7 +50,7 @@ def fit(data, file="", line=None, **options):
 @cache
 def fitted(law, seed):
     """The fit of ``readings(law, seed)``, which several tests look at."""
-    return fit(readings(law, seed))
+    return fit(readings(law, seed, drops=DROPS))
 
 
 def keys(found):
@@ -90,7 +93,7 @@ def test_recovers_flow_and_deadband_within_the_intervals(law, deadband, seed):
 
 
 def test_flow_rises_with_the_command_and_may_fall_with_the_drop():
-    found = fit(readings(compensated, 3, noise=0.05, trials=1)).map
+    found = fit(readings(compensated, 3, noise=0.05, trials=1, drops=DROPS)).map
     drop, command = np.linspace(1e3, 9e6, 150), np.linspace(found.deadband, 11.0, 2500)
     flow = found.flow(drop[:, None], command)
     assert np.all(np.diff(flow, axis=1) > 0) and np.all(found.flow(0.0, command) == 0.0)
@@ -101,7 +104,7 @@ def test_flow_rises_with_the_command_and_may_fall_with_the_drop():
 
 
 def test_outliers_are_named_by_line_and_do_not_move_the_map():
-    data = readings(compensated, 5)
+    data = readings(compensated, 5, drops=DROPS)
     bad = np.array([100, 250, 400, 401, 555])
     clean = fitted(compensated, 5)
     data["flow"][bad] *= [3.0, 0.3, 1.4, 1.4, 0.0]
@@ -127,7 +130,7 @@ def test_an_outlier_in_the_corner_does_not_take_its_neighbours_along():
 
 
 def test_without_repeats_outliers_and_intervals_still_hold():
-    data = readings(poppet, 6, trials=1)
+    data = readings(poppet, 6, trials=1, drops=DROPS)
     data["flow"][[5, 100, 150]] += np.array([2.0, 1.5, -1.5]) * GPM
     found = fit(data)
     assert {one.line for one in found.outliers} == {6, 101, 151}
@@ -194,9 +197,9 @@ def test_readings_of_two_valves_under_one_name_are_doubted():
 
 
 def test_scale_does_not_matter():
-    few, scales = DROPS[::2], (1.0, 0.01 / 8, 100 / 8)
-    one, *others = (fit(readings(compensated, 9, drops=few, scale=by)) for by in scales)
-    command, drop = np.meshgrid(COMMANDS, few)
+    scales = 1.0, 0.01 / 8, 100 / 8
+    one, *others = (fit(readings(compensated, 9, scale=by)) for by in scales)
+    command, drop = np.meshgrid(COMMANDS, DROPS[::2])
     for scale, other in zip(scales[1:], others, strict=True):
         # the same arithmetic on other powers of two, but for rounding
         flows = scale * one.map.flow(drop, command)
@@ -217,7 +220,7 @@ def test_a_deadband_may_be_none_or_below_the_readings():
 
 @pytest.mark.slow
 def test_lack_of_fit_and_trials_that_differ_widen_the_intervals():
-    data = readings(compensated, 5)
+    data = readings(compensated, 5, drops=DROPS)
     plain = fitted(compensated, 5)
     rng = np.random.default_rng(12)
     cell = np.arange(data["flow"].size) // 3
@@ -255,7 +258,7 @@ def test_a_map_of_one_drop_and_few_readings_is_fitted():
 
 
 def test_a_leak_is_reported_and_the_map_shut():
-    data = readings(poppet, 14)
+    data = readings(poppet, 14, drops=DROPS)
     leak = 0.15 * GPM * np.sqrt(data["pressure_drop"]) / np.mean(np.sqrt(DROPS))
     found = fit({**data, "flow": data["flow"] + leak * (data["command"] < 1.6)})
     assert found.leakage == pytest.approx(0.15 * GPM, rel=0.1)
@@ -289,7 +292,7 @@ def test_calibration_is_judged_and_no_flow_shown_as_zero():
     targets = ((4.0, true), (4.0, 1.3 * true), (4.0, true / 0.95), (12.0, true))
     targets += ((4.0, 0.7 * true), (4.0, true / 1.05))
     points = [(*target, 0.05) for target in targets]
-    found = fit(readings(poppet, 15), calibration=points, reference_drop=5e6)
+    found = fit(readings(poppet, 15, drops=DROPS), calibration=points, reference_drop=5e6)
     verdicts = [one.verdict for one in found.calibration]
     assert verdicts == ["met", "missed", "undecided", "not_measured", "missed", "undecided"]
     one = found.calibration[0]
@@ -310,8 +313,8 @@ def test_data_that_carry_no_map_are_refused():
         ("few_drops", {"drops": np.array([1e6, 2e6, 3e6])}),
         ("no_drop", {"drops": np.zeros(5), "commands": np.arange(5.0)}),
     ):
-        refused_fit(key, readings(poppet, 16, **change))
-    data, rng = readings(poppet, 1), np.random.default_rng(3)
+        refused_fit(key, readings(poppet, 16, **{"drops": DROPS} | change))
+    data, rng = readings(poppet, 1, drops=DROPS), np.random.default_rng(3)
     size = data["flow"].size
     for noise in (0.0, 0.02):
         refused_fit("idle", {**data, "flow": 7 * LPM * (1 + noise * rng.standard_normal(size))})
@@ -321,7 +324,7 @@ def test_data_that_carry_no_map_are_refused():
 
 
 def test_same_readings_same_bytes_in_any_order():
-    data = readings(compensated, 17, drops=DROPS[::2])
+    data = readings(compensated, 17)
     data["line"] = np.arange(data["flow"].size) + 2
     shuffle = np.random.default_rng(0).permutation(data["flow"].size)
     one, two = fit(data), fit({name: values[shuffle] for name, values in data.items()})
@@ -363,7 +366,7 @@ def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case):
 
 def test_repeats_that_agree_stay_in_however_far_from_the_map():
     """One cell at a command is 15 % high, in all its trials."""
-    clean, volts, data = fitted(compensated, 5).map, 8.0, readings(compensated, 5)
+    clean, volts, data = fitted(compensated, 5).map, 8.0, readings(compensated, 5, drops=DROPS)
     amid = (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
     cell = amid & (data["command"] == volts)
     found = fit({**data, "flow": np.where(cell, 1.15, 1.0) * data["flow"]})
@@ -387,8 +390,7 @@ def test_repeats_that_agree_stay_in_however_far_from_the_map():
 )
 @pytest.mark.parametrize("commands", [COMMANDS, np.arange(11.0)], ids=["fine", "volts"])
 def test_the_deadbands_interval_holds_a_kinked_a_soft_and_a_sudden_start(law, start, commands):
-    few = {"commands": commands, "trials": 2, "drops": DROPS[::2]}
-    low, high = fit(readings(law, 30, **few)).deadband_interval
+    low, high = fit(readings(law, 30, commands=commands, trials=2)).deadband_interval
     # 95 % each: intervals that hold it every other time pass all ten rows once in a thousand
     assert low <= start <= high
     # and not by holding anything: below the first command that passes flow there is one that may
@@ -406,7 +408,7 @@ def test_an_interval_goes_on_to_the_first_flow_where_that_is_sudden(law, sudden)
 
 def test_the_lower_end_of_a_soft_deadband_hangs_on_no_grid(monkeypatch):
     """Where the points of the search lie is chance."""
-    data = readings(soft, 30, commands=np.arange(11.0), trials=2, drops=DROPS[::2])
+    data = readings(soft, 30, commands=np.arange(11.0), trials=2)
     soften, ends = fits.soften, []
     for share in (0.0, 0.01, 0.02):
 
@@ -427,7 +429,7 @@ def test_a_kink_in_the_opening_does_not_ring_through_the_map():
 
 
 def test_a_display_of_few_digits_is_no_meter_without_noise():
-    data = readings(compensated, 21, noise=0.004)
+    data = readings(compensated, 21, noise=0.004, drops=DROPS)
     digit = 0.1 * GPM  # 1.2 % of the rated flow
     found = fit({**data, "flow": digit * np.round(data["flow"] / digit)})
     held, rms, _ = compare(found, compensated, least=2.0)
@@ -439,7 +441,7 @@ def test_a_display_of_few_digits_is_no_meter_without_noise():
 @pytest.mark.parametrize("kink, ratio", [(4.43, 4.0), (5.21, 0.0), (6.93, 0.2)])
 def test_a_kink_between_two_commands_is_found_and_its_map_covered(kink, ratio):
     law = kinked_opening(kink, ratio)
-    found = fit(readings(law, 102, commands=np.arange(11.0), trials=2, drops=DROPS[::2]))
+    found = fit(readings(law, 102, commands=np.arange(11.0), trials=2))
     assert len(found.kinks) == 1 and "kink" in keys(found)
     _, low, high = found.kinks[0]
     assert low <= kink <= high and high - low < 0.4
@@ -449,8 +451,7 @@ def test_a_kink_between_two_commands_is_found_and_its_map_covered(kink, ratio):
 
 
 def test_a_smooth_opening_has_no_kink():
-    few = {"drops": DROPS[::2], "trials": 2}
-    assert fit(readings(parabola, 701, **few)).kinks == fitted(poppet, 1).kinks == ()
+    assert fit(readings(parabola, 701, trials=2)).kinks == fitted(poppet, 1).kinks == ()
 
 
 @pytest.mark.slow
@@ -467,7 +468,7 @@ def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
 
 
 def test_a_deadband_that_shifts_with_the_drop_is_part_of_the_map():
-    found = fit(readings(pressed, 4))
+    found = fit(readings(pressed, 4, drops=DROPS))
     low, high = found.shift_interval
     assert found.shift == pytest.approx(0.6, abs=0.02) and "shift" in keys(found)
     assert low < found.shift < high < low + 0.1
@@ -491,7 +492,7 @@ def test_up_and_down_readings_of_a_valve_without_hysteresis_say_so():
 @pytest.mark.parametrize("goes_on", [True, False])
 def test_a_leak_at_rest_has_an_interval_and_leaves_the_deadband_right(goes_on):
     law = leaky(goes_on)
-    found = fit(readings(law, 40))
+    found = fit(readings(law, 40, drops=DROPS))
     assert found.deadband_interval[0] <= 1.6 <= found.deadband_interval[1]
     mean = 0.05 * GPM * np.mean(np.sqrt(DROPS / 6.5e6))
     assert found.leakage_interval[0] <= mean <= found.leakage_interval[1]
@@ -566,7 +567,7 @@ def test_a_speed_map_goes_by_the_command_alone():
 def test_what_all_readings_share_is_in_the_intervals():
     """A drop and a command that all are off by, as much as the flow changes with them."""
     bare = fitted(poppet, 1)
-    wide = fit(readings(poppet, 1), drop_std=4e4, command_std=0.02)
+    wide = fit(readings(poppet, 1, drops=DROPS), drop_std=4e4, command_std=0.02)
     drop, command, h = 3e6, 6.0, 1e-3
     np.testing.assert_array_equal(wide.map.increments, bare.map.increments)
     along = (bare.map.flow(drop + 1e3, command) - bare.map.flow(drop - 1e3, command)) / 2e3

@@ -3,6 +3,7 @@ what the estimates would be. `python -m tools.studies.held_study` has every held
 rig."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from tools.power import machine as power
 from tools.studies.held_study import FATIGUE, fitted, held_wrong, log_of, off_by, rig_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
 
+QUICK: Any = {"kinds": ("chirp",), "seconds": 2.0}
 SLIDE = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
 
 
@@ -31,7 +33,7 @@ def test_a_delay_held_short_is_named_with_what_the_estimates_would_be():
     """1 ms in the file, 2.5 ms in the machine: the damping comes out 25 times too large."""
     rig = rig_of(FATIGUE)
     machine = machine_of(FATIGUE, "valve's delay 1.5 ms short")
-    fit = fitted(FATIGUE, rig, machine, kinds=("chirp",))
+    fit = fitted(FATIGUE, rig, machine, **QUICK)
     halves, share, worst = off_by(fit, rig)[0]
     assert halves > 5.0 and share > 5.0 and worst == "carriage.damping"
     lean = fit.leans[0]
@@ -49,7 +51,7 @@ def test_a_delay_held_short_is_named_with_what_the_estimates_would_be():
 def test_a_delay_that_the_rig_file_does_not_have_is_named():
     """The driver of the slide gives commands on 2 ms late."""
     rig = rig_of("slide_servo")
-    fit = fitted("slide_servo", rig, rig, late=("command", 0.002), kinds=("chirp",))
+    fit = fitted("slide_servo", rig, rig, late=("command", 0.002), **QUICK)
     lean = fit.leans[0]
     assert lean.name == "press.servo.command.delay" and lean.here == 0.0
     assert lean.there == pytest.approx(2e-3, rel=0.05)
@@ -62,7 +64,7 @@ def test_a_delay_that_the_recipe_states_wrongly_is_named():
     much, to 0.1 ms."""
     rig = rig_of("slide_servo")
     known = (Sensor(channel="press.servo.command", delay="3 ms"),)
-    log = log_of("slide_servo", rig, "chirp", 7, ("command", 0.001))
+    log = log_of("slide_servo", rig, "chirp", 7, ("command", 0.001), 2.0)
     options = FitOptions(sensors=known, start={"bulk_modulus": 7e8}, workers=1)
     lean = identify_hydraulics(rig, [("chirp", log)], SLIDE, options).leans[0]
     assert lean.name == "press.servo.command.delay" and lean.here == pytest.approx(3e-3)
@@ -73,7 +75,7 @@ def test_a_delay_that_the_recipe_states_wrongly_is_named():
 
 def test_a_sound_fit_leans_on_nothing():
     rig = rig_of(FATIGUE)
-    assert fitted(FATIGUE, rig, rig, kinds=("chirp",)).leans == ()
+    assert fitted(FATIGUE, rig, rig, **QUICK).leans == ()
 
 
 def without_law(kind):
@@ -82,7 +84,7 @@ def without_law(kind):
     log = virtual_log("slide_servo", rig, "steps", 3)
     rows = hypotheses(rig, ["press"], ["press.v"], [log])
     machine = next(row for row in rows if row.kind == kind).rig(rig, 0.02)
-    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
+    logs = [(kind, virtual_log("slide_servo", machine, kind, 3, 2.6)) for kind in ("steps", "sine")]
     return machine, identify_hydraulics(rig, logs, SLIDE).leans[0]
 
 
@@ -147,11 +149,11 @@ def test_what_a_missing_law_takes_to_an_end_of_its_range_is_told_beside_the_law(
     assert lean.explains > DOMINANT and speaking_against(fit.as_json())
 
 
-def of_slide(machine, rig, payload=None, seed=11):
+def of_slide(machine, rig, payload=None, seconds=2.0, seed=11):
     """A fit to steps of the empty slide and of a loaded or late one; what its checks simulated."""
     logs = []
     for k, load in enumerate((None, payload)):
-        simulated = clean_log("slide_servo", machine.with_payload(load), "quick steps", 2.0)
+        simulated = clean_log("slide_servo", machine.with_payload(load), "quick steps", seconds)
         logs.append((f"log {k}", noisy(simulated, seed + k, load)))
     return identify_hydraulics(rig, logs, SLIDE)
 
@@ -160,7 +162,7 @@ def test_a_payload_that_weighs_other_than_written_is_named():
     rig = rig_of("slide_servo")
     name = "100 kg.carriage.mass"
     machine = rig.with_values({name: 1.2 * float(rig.parameters()[name])})
-    lean = of_slide(machine, rig, "100 kg").leans[0]
+    lean = of_slide(machine, rig, "100 kg", 1.2).leans[0]
     assert lean.name == name and lean.there == pytest.approx(420.0, rel=0.02)
     assert lean.remedy.fields["quoted"] == f'"{name}"'
 
@@ -176,7 +178,7 @@ def test_bristles_that_stick_at_rest_are_named_as_the_law_of_lugre():
 def test_commands_of_cartridges_that_are_written_late_are_named():
     """All four are written 3 ms after they act: a delay below zero."""
     rig = rig_of("boom_four_valve")
-    log = log_of("boom_four_valve", rig, "chirp", 5, ("command", -0.003))
+    log = log_of("boom_four_valve", rig, "chirp", 5, ("command", -0.003), 2.0)
     fit = identify_hydraulics(rig, [("log", log)], ["bulk_modulus", "boom.joint_damping"])
     lean = fit.leans[0]
     assert lean.name.endswith(".command.delay") and lean.there == pytest.approx(-0.003, rel=0.2)

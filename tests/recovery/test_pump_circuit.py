@@ -56,8 +56,8 @@ def logs(
         # of these, several short logs tell as much as two long ones, or more, in less steps
         ({"lift.pump.displacement": 1.5, "lift.pump.slip": 2.0}, SHORT, 3),
         ({"bulk_modulus": 0.5, "table.damping": 2.0, "lift.pump.slip": 2.0}, SHORT, 2),
-        ({"lift.check_rod.orifice_gain": 0.5}, LONG, 1),
-        ({"supply.gas_volume": 2.0}, LONG, 1),
+        ({"lift.check_rod.orifice_gain": 0.5}, SHORT, 1),
+        ({"supply.gas_volume": 2.0}, SHORT, 1),
     ],
     ids=lambda given: ", ".join(given) if isinstance(given, dict) else "",
 )

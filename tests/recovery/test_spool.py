@@ -32,7 +32,7 @@ def test_edges_of_a_spool_open_about_its_null(overlap, null):
 
 def test_an_overlap_and_a_null_come_back_from_noisy_logs():
     machine = slide(overlap="0.25 V", null="0.08 V")
-    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
+    logs = [(kind, virtual_log("slide_servo", machine, kind, 3, 2.6)) for kind in ("steps", "sine")]
     rig = slide(overlap="0.05 V", null="0.01 V")
     fit = identify_hydraulics(
         rig, logs, ["bulk_modulus", "press.servo.overlap", "press.servo.null"]
@@ -45,7 +45,7 @@ def test_an_overlap_and_a_null_come_back_from_noisy_logs():
 def test_a_spool_that_is_open_at_rest_and_off_its_middle_is_suggested():
     """By two numbers, where four dead bands would not do: they end at zero."""
     machine = slide(overlap="-0.15 V", null="0.06 V")
-    log = virtual_log("slide_servo", machine, "quick steps", 3, 2.0)
+    log = virtual_log("slide_servo", machine, "quick steps", 3, 1.2)
     fit = prepare_fit(slide(), [("log", log)], ["bulk_modulus", "carriage.damping"])
     first = suggest(fit, [("log", log)], lambda text, share: None, 3600.0, 1).rows[0]
     assert first.changes == ("overlap of press.servo",) and first.misfit < 0.1

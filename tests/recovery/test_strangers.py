@@ -1,7 +1,6 @@
 """Two machines of others, from a wrong model to the right one by what the tool says, as their
 READMEs have it."""
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from ehbench import workflow
-from tests.shared import RECIPES
+from tests.shared import RECIPES, result
 from tests.strangers import LOADER, PRESS, logs_of
 
 # by machine: numbers of the machine [SI] by parameter, and the change that leads to them
@@ -35,11 +34,6 @@ STRANGERS = {
         "overlap of lift.spool",
     ),
 }
-
-
-def result(name: str, file: str):
-    (path,) = Path("reports").glob(f"{name}_*/{file}.json")
-    return json.loads(path.read_text())
 
 
 @pytest.mark.parametrize("machine", STRANGERS)

@@ -1,26 +1,18 @@
 """The tutorial, run as a reader would: its files written, its commands given, its results found."""
 
-import json
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from ehbench import workflow
-from tests.shared import ROOT
+from tests.shared import ROOT, result
 
 PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 STEPS = re.compile(
     r"```(?:toml|python)\n(?P<text>.*?)```|^    ehbench (?P<words>[^\n]+)$", re.S | re.M
 )
-
-
-def result(name: str, file: str) -> dict[str, Any]:
-    """A file of the one run of a recipe."""
-    (path,) = Path("reports").glob(f"{name}_*/{file}.json")
-    return json.loads(path.read_text())
 
 
 def arguments(words: str) -> list[str]:

@@ -167,7 +167,8 @@ def test_names_and_texts_of_any_kind_are_exported(tmp_path, monkeypatch):
     ]
     (tmp_path / "trial.toml").write_text(
         'stage = "trial"\nrig = "rig.toml"\nduration = "0.5 s"\npayload = "*/ int x; /*"\n'
-        '[controller]\nkind = "open_loop"\n[motion]\n' + "[[motion.also]]\n".join(motions)
+        '[controller]\nkind = "arc"\n[motion]\n'  # compiled for an arm already
+        + "[[motion.also]]\n".join(motions)
     )
     session = workflow.Session(out=tmp_path / "out", unvalidated=True)
     monkeypatch.setattr(compiler, "FLAGS", STRICT)

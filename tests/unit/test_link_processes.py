@@ -250,6 +250,7 @@ def test_a_served_bench_speaks_can(tmp_path, started, trial):
     pytest.importorskip("cantools")
     (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
     url = f"can://udp_multicast/239.74.163.9?map={dbc}"
+    trial.write_text(trial.read_text().replace("[motion]", '[motion]\nhold = "0.1 s"'))
     served(started, trial, url)
     ready = prepared(trial)
     over = run(ready, open_machine(ready, url), fast=False)

@@ -136,12 +136,15 @@ def test_a_fit_that_exchanged_channels_spoil_is_asked_as_it_began():
 def test_what_a_fit_finds_of_its_logs_weighs_on_the_verdict():
     """The log that judges is sound; one of those that were fitted carried more than it says."""
     rig = shipped("slide_servo")
-    first, loaded = recorded("slide_servo", 4), recorded("slide_servo", 5, "100 kg")
+    first, loaded, last = (
+        recorded("slide_servo", 4 + k, load, duration=1.2)
+        for k, load in enumerate((None, "100 kg", None))
+    )
     verdicts = {}
     for written in ("100 kg", "none"):
         fit = identify(rig, [("a", first), ("b", said(loaded, written))], ["bulk_modulus"])
         against = speaking_against(fit.as_json())
-        verdict = validate_rig(fit.rig, [("c", recorded("slide_servo", 6))], leans=against)
+        verdict = validate_rig(fit.rig, [("c", last)], leans=against)
         verdicts[written] = verdict.verdict
         named = [item for item in against if getattr(item["sentence"], "key", "") == MISREAD]
         assert [item["sentence"].fields["remedy"].fields["log"] for item in named] == (

@@ -157,7 +157,7 @@ def test_a_constant_force_that_nobody_wrote_down_is_named():
 def test_a_cause_of_most_of_the_residual_is_a_reservation():
     """The model follows the log well enough for every threshold, and is wrong."""
     rig = leaking_press()
-    log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0)
+    log = virtual_log("slide_servo", rig, "quick steps", 5, duration=1.5)
     assert validate_rig(rig, [("log", log)]).verdict == "accepted"
     for name, factor in (("bulk_modulus", 1.2), ("carriage.damping", 2.0), ("carriage.mass", 1.1)):
         wrong = rig.with_values({name: factor * float(rig.parameters()[name])})
@@ -200,7 +200,9 @@ def test_a_leakage_far_beyond_its_slope_is_found_at_its_size():
 
 def test_a_tank_pressure_that_no_log_has_comes_before_a_preload_that_explains_the_same():
     rig = shipped("slide_servo")
-    log = virtual_log("slide_servo", rig.with_values({"supply.tank_pressure": 4e5}), "steps", 5)
+    log = virtual_log(
+        "slide_servo", rig.with_values({"supply.tank_pressure": 4e5}), "steps", 5, 2.0
+    )
     bare = {name: y for name, y in log.channels.items() if name != "p_tank"}
     log = replace(log, channels=bare)
     model = Model.of(rig)

@@ -106,7 +106,7 @@ def test_wrong_models_are_rejected(name):
     known = rig.parameters()
     damping = [n for n in known if n.endswith((".damping", ".joint_damping"))]
     gains = [n for n in known if n.endswith(("flow_gain", "compensated_gain", "displacement"))]
-    log = virtual_log(name, rig, "steps", 1, 2.6)  # a step out and a step back
+    log = virtual_log(name, rig, "steps", 1, 1.6)  # a step out and a step back
     for names, factor in (
         (["bulk_modulus"], 1.2),
         (["bulk_modulus"], 0.8),

@@ -117,16 +117,21 @@ def parameters_of(name: str, rig: Rig) -> list[str]:
 
 
 def log_of(
-    name: str, machine: Rig, kind: str, seed: int, late: tuple[str, float] = ("", 0.0)
+    name: str,
+    machine: Rig,
+    kind: str,
+    seed: int,
+    late: tuple[str, float] = ("", 0.0),
+    seconds: float = 4.0,
 ) -> Record:
-    """A log of a machine, of which a channel may be late."""
+    """A log of a machine, of which a channel may be late; of the test rig at most 3 s."""
     given = None
     if name == FATIGUE:
-        rng, t = np.random.default_rng(100 + seed), np.arange(3001) * 1e-3
+        seconds = min(seconds, 3.0)
+        rng, t = np.random.default_rng(100 + seed), np.arange(round(seconds * 1e3) + 1) * 1e-3
         spectrum = np.fft.rfft(rng.standard_normal(t.size))
         spectrum[np.fft.rfftfreq(t.size, 1e-3) > 60.0] = 0.0
         given = {"press.servo": 1.6 * np.fft.irfft(spectrum, t.size) * (t > 0.2)}
-    seconds = 4.0 if given is None else 3.0
     log = virtual_log(drives_of(name), machine, kind, seed, seconds, commands=given)
     out = ("qd",) if given is None else ("qd", "p_head", "p_rod")
     who, channels = moved_of(name, machine)[0], {}
@@ -148,9 +153,12 @@ def fitted(
     seed: int = 7,
     late: tuple[str, float] = ("", 0.0),
     kinds: Sequence[str] = FITTED,
+    seconds: float = 4.0,
 ) -> HydraulicsFit:
     """A rig fitted to logs of a machine, one a kind."""
-    logs = [(kind, log_of(name, machine, kind, seed + i, late)) for i, kind in enumerate(kinds)]
+    logs = [
+        (kind, log_of(name, machine, kind, seed + i, late, seconds)) for i, kind in enumerate(kinds)
+    ]
     start = {"bulk_modulus": BEGIN * float(rig.oil.bulk_modulus)}
     options = FitOptions(start=start, workers=1)
     return identify_hydraulics(rig, logs, parameters_of(name, rig), options)
