@@ -74,11 +74,12 @@ class Proposal:
 @dataclass(frozen=True)
 class Known:
     """A fitted parameter as its run left it: value and interval [SI], None where the logs do not
-    excite it."""
+    excite it, and the share of its variance that no log lessens."""
 
     name: str
     value: float
     interval: tuple[float, float] | None
+    from_fixed: float = 0.0
 
 
 def widest(fitted: Sequence[Known], search: Sequence[Coordinate]) -> str:
@@ -181,8 +182,11 @@ class _Planner:
         wider, errors = {}, dict(zip(self.live, self._error(self.normal), strict=True))
         for i, (c, item) in enumerate(zip(prepared.search, fitted, strict=True)):
             if (half := c.half(item.value, item.interval)) is not None:
-                wider[i] = half / max(errors[i], 1e-300)
+                wider[i] = half * math.sqrt(1.0 - item.from_fixed) / max(errors[i], 1e-300)
         self.widening = wider.get(which, float(np.median([*wider.values()])) if wider else 2.0)
+        known = fitted[which]
+        half = prepared.search[which].half(known.value, known.interval) or 0.0
+        self.fixed = half * math.sqrt(known.from_fixed)
         self.drives = list(drives_of(self.rig, prepared.logs))
         # of the sensors by quantity, from how consecutive samples differ
         noise: dict[str, list[float]] = {}
@@ -236,10 +240,10 @@ class _Planner:
         after = self.normal + eliminate(block, self.weight).normal
         k = self.live.index(self.which)
         c, known = self.prepared.search[self.which], self.fitted[self.which]
-        std, before = self._error(after)[k], self._error(self.normal)[k]
-        half = self.widening * float(std)
+        errors = (self._error(normal)[k] for normal in (after, self.normal))
+        half, before = (math.hypot(self.widening * float(std), self.fixed) for std in errors)
         middle = c.of(self.values[self.which])
-        share = float(std / before) if known.interval and before > 0.0 else None
+        share = half / before if known.interval and before > 0.0 else None
         return [Proposal(trial, (c.at(middle - half), c.at(middle + half)), share)]
 
     def _log(self, trial: Trial) -> Log:

@@ -278,6 +278,8 @@ def _method(run: Saved, result: NamedResult) -> tuple[str, ...]:
         texts.append(message(f"report.error_{about['error_from']}"))
     if about.get("prior") is not None:
         texts.append(message("report.prior", share=float(about.get("from_data", 1.0))))
+    if about.get("from_fixed", 0.0) > 0.5:
+        texts.append(message("report.from_fixed", share=float(about["from_fixed"])))
     if "samples" in about:
         texts.append(message("report.samples", count=about["samples"]))
     return tuple(texts)

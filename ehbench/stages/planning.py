@@ -173,7 +173,7 @@ def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | 
     for c in prepared.fit.search:
         row = rows[c.name]
         ends = row["interval"] and (float(row["interval"][0]), float(row["interval"][1]))
-        fitted[c.name] = Known(c.name, float(row["value"]), ends)
+        fitted[c.name] = Known(c.name, float(row["value"]), ends, float(row.get("from_fixed", 0.0)))
     known = list(fitted.values())
     name = name or widest(known, prepared.fit.search)
     proposals = propose(prepared.fit, known, name, progress)

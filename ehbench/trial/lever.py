@@ -11,10 +11,11 @@ import numpy as np
 
 from ehbench.config.recipe import CylinderMotion, TrialRecipe
 from ehbench.control.trajectory import ORDERS, A, X
+from ehbench.preprocessing.time_base import parts_of
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
-from ehbench.vocabulary import setting
+from ehbench.vocabulary import InputError, message, setting
 
 DEFLECTION, DEADMAN = range(2)  # columns of what a lever said
 LEVER_CHANNELS = ("operator", "deadman")  # by which logs have them
@@ -85,7 +86,7 @@ def commanded(
     [m/s] and acceleration [m/s²].
 
     Raises:
-        InputError: a log without the lever's channel."""
+        InputError: a log without the lever's channel, or with a gap."""
     rate, stroke, margin = float(recipe.rate), float(design.row.stroke), recipe.limits.stroke_margin
     room = OPERATOR.reserve * stroke + (0.0 if margin is None else float(margin))
     speed, rise, zone = limits["speed"], limits["acceleration"], float(motion.dead_zone)
@@ -100,11 +101,20 @@ def commanded(
 
 
 def _logged(recipe: TrialRecipe, file: str, cylinder: str) -> np.ndarray:
-    """What a lever said in a log or in the run of a trial, shape (rows, 2)."""
+    """What a lever said in a log or in the run of a trial, shape (rows, 2); nothing where the
+    dead-man switch is open.
+
+    Raises:
+        InputError: a log without the lever's channel, or with a gap."""
     rate, names = float(recipe.rate), [f"{cylinder}.{name}" for name in LEVER_CHANNELS]
-    record = log_with(names[DEFLECTION], recipe.file(file))
+    path = recipe.file(file)
+    record = log_with(names[DEFLECTION], path)
+    before, *after = (part.record.t for part in parts_of(file, record)[0])
+    if after:  # a deflection would be held where nobody may have held the lever
+        fields = {"t": before[-1], "seconds": after[0][0] - before[-1]}
+        raise InputError(message("trial.lever_gap", **fields), file=path)
     t = record.t - record.t[0]
     times = np.arange(rows_of(float(t[-1]), rate) + 1) / rate
     rows = np.searchsorted(t, times + 0.1 / rate, side="right") - 1
     pressed = record.channels.get(names[DEADMAN], np.ones(t.size))
-    return np.column_stack([record[names[DEFLECTION]], pressed])[rows]
+    return np.column_stack([record[names[DEFLECTION]] * (pressed > 0.0), pressed])[rows]

@@ -244,6 +244,8 @@ def to_si(value, unit: str, row: Quantity):
         instead = _INSTEAD.get(row.unit, "")
         hint = message("vocabulary.usual_units", name=row.name, usual=usual)
         more = message(instead) if instead else ""
+        if gauge := absolute_unit(unit):
+            more = message("vocabulary.instead_gauge", gauge=gauge)
         text = message("vocabulary.unit_for_quantity", reason=result, name=row.name)
         raise UnitError(text, hint="; ".join(filter(None, (hint, more))))
     scale, offset = result

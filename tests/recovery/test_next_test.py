@@ -71,13 +71,21 @@ def test_the_proposed_test_tells_what_it_was_said_to_when_the_virtual_rig_runs_i
     )
 
 
-def test_proposals_come_best_first_and_the_least_known_is_meant_by_default(place):
-    found = workflow.next_test(place / "fit")
+def test_proposals_come_best_first_and_the_least_known_is_meant_by_default(place, tmp_path):
+    """Three quarters of each variance are of fixed numbers: they stay."""
+    folder = shutil.copytree(place / "fit", tmp_path / "fit")
+    fit = rundir.read_json(folder / "parameters.json")
+    for row in fit["parameters"]:
+        row["from_fixed"] = 0.75
+    rundir.write_json(folder / "parameters.json", fit)
+    found = workflow.next_test(folder)
     widths = [one.interval[1] - one.interval[0] for one in found.proposals]
     assert widths == sorted(widths) and len(widths) > 5
-    relative = {n: row["interval"] for n, row in rows_of(place / "fit").items()}
+    shares = [one.share or 0.0 for one in found.proposals]
+    assert 0.75**0.5 < min(shares) < 0.97 and max(shares) < 1.0
+    relative = {n: row["interval"] for n, row in rows_of(folder).items()}
     assert found.known.name in relative and found.as_json()["tests"][0]["commands"]
-    answer = found.answer(place / "fit", None)
+    answer = found.answer(folder, None)
     assert len(answer.tables[0].rows) > 5 and answer.steps[0].key == "steps.write_test"
 
 

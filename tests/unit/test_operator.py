@@ -121,6 +121,21 @@ def test_a_replay_is_the_trial_to_the_bit(rig, levers, keys, tmp_path):
     assert again.facts.measures == hand.facts.measures
 
 
+def test_levers_of_another_recorder_let_go_with_its_dead_man_and_have_no_gap(tmp_path):
+    path, t = tmp_path / "levers.csv", np.arange(1500) * 1e-3
+    rows = [f"{x:.3f},0.5,{int(x < 0.8)}" for x in t]
+    header = "t [s],press.operator [1],press.deadman [1]"
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    record = run(trial(motion=HAND | {"file": str(path)})).record
+    speed, pressed = record["press.v_desired"], record["press.deadman"] > 0.0
+    assert record.t[pressed][-1] == pytest.approx(0.796) and np.max(speed[pressed]) > 0.02
+    assert speed[-1] == 0.0 and not record["press.operator"][~pressed].any()
+    path.write_text("\n".join([header, *rows[:400], *rows[700:]]), encoding="utf-8")
+    with refused("trial.lever_gap") as error:
+        trial(motion=HAND | {"file": str(path)})
+    assert error.value.fields == {"t": pytest.approx(0.399), "seconds": pytest.approx(0.301)}
+
+
 def test_open_loop_and_feedback_meet_the_same_operator(tmp_path):
     keys = {"controller": {"kind": "open_loop"}}
     hand = run(trial(**keys), log=tmp_path / "log.mcap", operator=Hand(size=0.4))

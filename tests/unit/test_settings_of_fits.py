@@ -327,7 +327,7 @@ def probes():
 
 def at_bound(share):
     """Parameters that end at a bound of which one comes so near, of its reach, that is unsure."""
-    asked, unsure = analytic_fit.problem(), Stub(kind="", quantile=2.0, std=1e9)
+    asked, unsure = analytic_fit.problem(), Stub(kind="", quantile=2.0, std=1e9, from_fixed=0.0)
     place, theta = asked.search[0], problem.initial(asked).theta.copy()
     theta[0] = place.bounds[1] - share * place.reach
     with answers(estimates, nearest_basin=lambda _, state: replace(state, theta=theta),

@@ -57,6 +57,13 @@ def test_parse(text, name, si):
     assert to_si(from_si(value, unit, row), unit, row) == pytest.approx(value, rel=1e-12)
 
 
+@pytest.mark.parametrize(("text", "gauge"), [("40 psia", "psi"), ("9 bara", "bar")])
+def test_an_absolute_pressure_is_refused_with_its_gauge_unit(text, gauge):
+    with pytest.raises(UnitError) as error:
+        parse(text, VOCABULARY["pressure"])
+    assert f"write {gauge}" in str(error.value.hint)
+
+
 @pytest.mark.parametrize("text", ["12", "kPa", "", "12 kg", "12 furlongz", "12 kPa kPa(", "nan Pa"])
 def test_refused(text):
     with pytest.raises(UnitError):

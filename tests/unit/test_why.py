@@ -41,7 +41,7 @@ parameters = ["bulk_modulus", "press.joint_damping"]
 ROW = {"name": "bulk_modulus", "unit": "Pa", "value": 7.0e8, "interval": [6.9e8, 7.1e8]}
 ROW |= {"std": 5.0e6, "lower": 1.0e8, "upper": 2.0e9, "start": 6.0e8, "prior": None}
 ROW |= {"from_data": 1.0, "from_starts": 0.0, "status": "estimated", "error_from": "hac"}
-ROW |= {"samples": 400}
+ROW |= {"samples": 400, "from_fixed": 0.62}
 DEADBAND = {"valve": "sh", "direction": "forward", "deadband": 1.25}
 DEADBAND |= {"deadband_interval": [1.2, 1.3]}
 LOG = {"name": "one", "fit_percent": {"press.v": 91.5, "press.p_head": 80.0}}
@@ -92,7 +92,8 @@ def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop
     found = origin("bulk_modulus", shop / "reports" / "fit_1")
     assert found.changes == () and found.result.interval == (6.9e8, 7.1e8)
     text = "\n".join(str(cell) for row in found.table().rows for cell in row)
-    for wanted in ("output error", "correlated residuals", "400 samples", "0.2 s to 3 s"):
+    method = "output error", "correlated residuals", "62 % of", "400 samples"
+    for wanted in (*method, "0.2 s to 3 s"):
         assert wanted in text, text
     for name in ("one", "two"):
         assert rundir.sha256(shop / f"{name}.csv") in text
