@@ -423,6 +423,31 @@ def jacobian(problem: Problem, state: State, which: Sequence[int]) -> list[np.nd
     ]
 
 
+def fixed_changes(problem: Problem, state: State) -> list[np.ndarray]:
+    """What one standard error of each number that the fit takes as known changes of the scaled
+    residuals, by log, shape (samples, channels, numbers)."""
+    here, errors = state.here, problem.simulator.fixed_errors()
+    if not errors:
+        return []
+    values = [*problem.values(state.theta), *(value for value, _ in errors.values())]
+    points, steps = [], []
+    for i, (value, std) in enumerate(errors.values(), len(state.theta)):
+        step = SETTINGS.difference * max(abs(value), std)
+        moved = [*values[:i], value + step, *values[i + 1 :]]
+        points += [(moved, k, shifts) for k, shifts in enumerate(here.shifts)]
+        steps.append(step / std)
+    row, _ = problem.simulator.beside(errors).each(points, here.mesh.steps)
+    results = []
+    for k, log in enumerate(problem.logs):
+        left, size = here.residuals[k], by_channel(state.scales, log)
+        change = np.zeros((*left.shape, len(errors)))
+        for i, simulated in enumerate(row[k :: len(problem.logs)]):
+            if simulated is not None:
+                change[..., i] = (problem.residual(log, simulated) - left) / (steps[i] * size)
+        results.append(change)
+    return results
+
+
 def start_jacobian(problem: Problem, state: State) -> list[np.ndarray]:
     """Derivatives of the scaled residuals by each log's shifts, shape (samples, channels, shifts);
     zero for logs that begin at a standstill while the search is coarse."""

@@ -15,7 +15,6 @@ from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import BlockAverages, Record, block_averages
 from ehbench.identification.means import Decimate, means_of
 from ehbench.parts.edge import edge_onset
-from ehbench.physics.flow_map import ValveMaps
 from ehbench.plant.build import Kept, Maps, map_of
 from ehbench.plant.foreign import model_of
 from ehbench.plant.many import map_threads
@@ -38,7 +37,7 @@ from ehbench.preprocessing.plausibility import LIMITED, at_limit
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
-from ehbench.signals.series import rms, transients, white_noise
+from ehbench.signals.series import transients, white_noise
 from ehbench.vocabulary import Message, message, quantity, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
 from ehbench.vocabulary.messages import of_log
@@ -366,7 +365,7 @@ class Simulator:
 
     def fixed_errors(self) -> dict[str, tuple[float, float]]:
         """(value, standard error) [SI] of each number of the rig that states one and is none of the
-        parameters, and of the factor on each measured map (`_map_error`)."""
+        parameters, and of the factor on each measured map."""
         known = {name: (float(value), value.std or 0.0) for name, value in self.known.items()}
         for cylinder, valve, edge in self.rig.edges():
             name = f"{cylinder.name}.{valve.edge_name(edge)}"
@@ -374,7 +373,7 @@ class Simulator:
             if item is not None and known[factor][1] == 0.0:
                 channel = f"{cylinder.name}.{valve.name}.command"
                 commands = [log.record[channel] for log in self.logs if channel in log.record]
-                error = _map_error(item, edge.sign * np.concatenate(commands))
+                error = item.relative_std(edge.sign * np.concatenate(commands))
                 known[factor] = known[factor][0], known[factor][0] * error
         given = known if self.rig.model is None else self.rig.model.settable
         return {
@@ -523,19 +522,6 @@ class Simulator:
             start, true = log.start.begin(model, shift, shared)
             for note in short_steps(model, true, start):
                 yield message("identification.short_steps", log=log.name, note=note)
-
-
-def _map_error(item: ValveMaps, openings: np.ndarray) -> float:
-    """rms standard error of a map over its rms flow, at some openings [V] and all drops that were
-    measured."""
-    many = np.quantile(openings, np.linspace(0.0, 1.0, 101))
-    shares = []
-    for side in filter(None, (item.forward, item.reverse)):
-        drops = side.drop_max * np.linspace(0.1, 1.0, 10)[:, None]
-        flow = np.asarray(side.flow(drops, many))
-        std = np.where(flow > 0.0, side.flow_std(drops, many), 0.0)
-        shares.append(rms(std) / max(rms(flow), 1e-300))
-    return max(shares)
 
 
 def columns_of(log: Log, record: Record) -> np.ndarray:

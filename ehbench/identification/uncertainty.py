@@ -12,8 +12,8 @@ from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.identification.problem import (
     Problem,
     State,
-    by_channel,
     effects,
+    fixed_changes,
     linearised,
     prior_of,
 )
@@ -21,7 +21,6 @@ from ehbench.identification.search import VAGUE
 from ehbench.vocabulary import Z95, message
 from ehbench.vocabulary.terms import CORRELATED
 
-SMALL = 0.01  # part of its standard error by which a fixed number is moved
 ROUNDING = 1e-9  # share of the reach within which a number is at its bound
 
 
@@ -75,7 +74,7 @@ def errors_of(problem: Problem, state: State) -> Errors:
     mean; all of them as if none were fixed at a bound."""
     live = state.live
     blocks = linearised(problem, state, live)
-    match = covariance_of(blocks, prior_of(problem, state, live), _fixed(problem, state))
+    match = covariance_of(blocks, prior_of(problem, state, live), fixed_changes(problem, state))
     sizes = effects(problem, state, [block.jacobian for block in blocks])
     correlation = match.correlation
     inside = [k for k, i in enumerate(live) if not _at_bound(problem, state, i)]
@@ -98,29 +97,6 @@ def errors_of(problem: Problem, state: State) -> Errors:
     among = np.ix_(inside, inside)
     whole = correlation_of(match.whole)[among], correlation[among]
     return Errors(result, names, *whole, state, blocks, match.whole, match.alone)
-
-
-def _fixed(problem: Problem, state: State) -> list[np.ndarray]:
-    """What one standard error of each number that the fit takes as known changes of the scaled
-    residuals, by log, shape (samples, channels, numbers)."""
-    here, errors = state.here, problem.simulator.fixed_errors()
-    if not errors:
-        return []
-    values = [*problem.values(state.theta), *(value for value, _ in errors.values())]
-    points = []
-    for i, (_, std) in enumerate(errors.values(), len(state.theta)):
-        moved = [*values[:i], values[i] + SMALL * std, *values[i + 1 :]]
-        points += [(moved, k, shifts) for k, shifts in enumerate(here.shifts)]
-    row, _ = problem.simulator.beside(errors).each(points, here.mesh.steps)
-    results = []
-    for k, log in enumerate(problem.logs):
-        left, size = here.residuals[k], by_channel(state.scales, log)
-        change = np.zeros((*left.shape, len(errors)))
-        for i, simulated in enumerate(row[k :: len(problem.logs)]):
-            if simulated is not None:
-                change[..., i] = (problem.residual(log, simulated) - left) / (SMALL * size)
-        results.append(change)
-    return results
 
 
 def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:

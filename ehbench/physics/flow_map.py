@@ -453,6 +453,18 @@ class ValveMaps:
         """Standard error [m³/s] of ``flow``; broadcasts."""
         return self._sided("flow_std", pressure_drop, command)
 
+    def relative_std(self, openings: np.ndarray) -> float:
+        """rms standard error over the rms flow, at some openings [V] and all drops that were
+        measured; the larger of both directions."""
+        some = np.quantile(openings, np.linspace(0.0, 1.0, 101))
+        shares = []
+        for side in filter(None, (self.forward, self.reverse)):
+            drops = side.drop_max * np.linspace(0.1, 1.0, 10)[:, None]
+            flow = np.asarray(side.flow(drops, some))
+            std = np.where(flow > 0.0, side.flow_std(drops, some), 0.0)
+            shares.append(math.sqrt(np.sum(std**2) / max(float(np.sum(flow**2)), 1e-300)))
+        return max(shares)
+
     def inside(self, pressure_drop, command):
         """True where readings surround the point, at signed drops [Pa] and openings [V]."""
         measured = (np.asarray(pressure_drop, float) >= 0.0) | (self.reverse is not None)

@@ -294,7 +294,7 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         rate,
         stop,
         session.after,
-        (*warnings, *_slowed(measures, prepared.rig), *_empty_chambers(record, prepared.rig)),
+        (*warnings, *_shown_by(record, measures, prepared.rig)),
         record.meta.get("controller", ""),
         record.meta.get("cylinder", ""),
         measures,
@@ -340,16 +340,13 @@ def _trial_warnings(
     ]
 
 
-def _slowed(measures: Mapping[str, Any], rig: Rig) -> Iterator[Message]:
-    """A warning where the pump's flow made a motion of several cylinders take longer."""
+def _shown_by(record: Record, measures: Mapping[str, Any], rig: Rig) -> Iterator[Message]:
+    """A warning where the pump's flow made a motion of several cylinders take longer, and of each
+    chamber that cavitated, with how long it did in all."""
     sharing = measures.get("sharing", {})
     if sharing.get("slowed", 0.0) > 0.0:
         flows = {name: rig.shown("flow", sharing[f"flow_{name}"]) for name in ("demand", "limit")}
         yield message("trial.slowed", longer=sharing["longer"], **flows)
-
-
-def _empty_chambers(record: Record, rig: Rig) -> Iterator[Message]:
-    """A warning of each chamber that cavitated, with how long it did in all."""
     limit = OBSERVED.empty * float(rig.oil.cavitation_pressure)
     for item, word in product(rig.cylinder, ("p_head", "p_rod")):
         name = f"{item.name}.{word}"

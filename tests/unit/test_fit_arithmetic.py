@@ -263,7 +263,7 @@ def test_an_error_means_what_its_sizes_say(size, alone, std, likeness, inside, k
     asked: Any = Stub(search=[place, replace(place, name="bulk_modulus")])
     state: Any = Stub(live=(0, 1))
     with answers(uncertainty, linearised=[], covariance_of=match, prior_of=None,
-                 effects=uncertainty.PROBLEM.faint * np.array([size, 9.0]), _fixed=[],
+                 effects=uncertainty.PROBLEM.faint * np.array([size, 9.0]), fixed_changes=[],
                  _at_bound=lambda _, __, i: i not in inside):  # fmt: skip
         found = uncertainty.errors_of(asked, state)
     error = found.by_index[0]
