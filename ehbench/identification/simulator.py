@@ -370,9 +370,9 @@ class Simulator:
         for cylinder, valve, edge in self.rig.edges():
             name = f"{cylinder.name}.{valve.edge_name(edge)}"
             item, factor = map_of(self.maps, name), f"{name}.map_factor"
-            if item is not None and known[factor][1] == 0.0:
-                channel = f"{cylinder.name}.{valve.name}.command"
-                commands = [log.record[channel] for log in self.logs if channel in log.record]
+            channel = f"{cylinder.name}.{valve.name}.command"
+            commands = [log.record[channel] for log in self.logs if channel in log.record]
+            if item is not None and commands and known[factor][1] == 0.0:
                 error = item.relative_std(edge.sign * np.concatenate(commands))
                 known[factor] = known[factor][0], known[factor][0] * error
         given = known if self.rig.model is None else self.rig.model.settable

@@ -317,6 +317,16 @@ def test_a_number_known_to_within_an_error_widens_every_interval():
             assert plain[name].from_fixed == 0.0
 
 
+def test_a_map_of_a_valve_without_a_command_counts_for_nothing():
+    """It stays shut."""
+    machine, maps = shipped("boom_four_valve"), {"boom.ht": a_map("ht", 1.2e-3)}
+    drive = tuple(item for item in FOUR if item[0] != "boom.ht")
+    log = noisy(clean("boom_four_valve", None, drive, 601), 5)
+    logs = edited([("log", log)], lambda name, y, _: None if name == "boom.ht.command" else y)
+    fit = identify(machine, logs, ["bulk_modulus"], maps)
+    assert fit["bulk_modulus"].from_fixed == 0.0 and near(fit, {"bulk_modulus": 7e8})
+
+
 def test_a_preload_behind_a_measured_map_is_fitted():
     """Started at half, from one log of a step out and back."""
     machine, maps = shipped("boom_four_valve"), {"boom.rt": a_map("rt", 1.2e-3)}
