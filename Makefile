@@ -48,7 +48,7 @@ lint: $(VENV)/.dev         ## line length, complexity, arguments, likely mistake
 	$(BIN)/ruff check $(CODE)
 
 types: $(VENV)/.dev        ## types of package, tools and tests
-	$(BIN)/basedpyright
+	$(BIN)/pyrefly check --output-format min-text
 
 docs: $(VENV)/.dev         ## whether the key tables in docs/ are those of the models
 	$(BIN)/python -m tools.reference --check

@@ -93,4 +93,4 @@ def problem(factors=(1.0, 1.0, 1.0), noise=0.02, more=(), upper=(1e3,) * 3, **gi
     if more:
         search.append(Coordinate(more[0], True, 1.0, *more[1:]))
     logs = [log_of(k, noise, given.get("seed", 1)) for k in range(2)]
-    return problem_of(Closed(logs, more and more[0]), search, None, 100)  # pyright: ignore[reportArgumentType]
+    return problem_of(Closed(logs, more and more[0]), search, None, 100)

@@ -79,8 +79,8 @@ class Mutant(NamedTuple):
 
     def change(self) -> Change | None:
         """What it does; None where that means nothing."""
-        from cosmic_ray.mutating import mutate_code  # pyright: ignore[reportMissingImports]
-        from cosmic_ray.plugins import get_operator  # pyright: ignore[reportMissingImports]
+        from cosmic_ray.mutating import mutate_code
+        from cosmic_ray.plugins import get_operator
 
         text = (ROOT / self.module).read_text(encoding="utf-8")
         source = mutate_code(text, get_operator(self.operator)(), self.place)
@@ -99,8 +99,8 @@ class Mutant(NamedTuple):
 
 def places(module: Path) -> list[Mutant]:
     """Every change of a module."""
-    from cosmic_ray.ast import ast_nodes, get_ast  # pyright: ignore[reportMissingImports]
-    from cosmic_ray.plugins import get_operator, operator_names  # pyright: ignore[reportMissingImports]
+    from cosmic_ray.ast import ast_nodes, get_ast
+    from cosmic_ray.plugins import get_operator, operator_names
 
     nodes = list(ast_nodes(get_ast((ROOT / module).read_text(encoding="utf-8"))))
     results = []

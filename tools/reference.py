@@ -137,10 +137,9 @@ def _kind(annotation: Any) -> str:
     kinds = [part for part in get_args(annotation) if part is not type(None)]
     origin = get_origin(annotation)
     if models_in(annotation):
-        return {dict: "tables by name", tuple: "list of tables"}.get(
-            next((o for o in map(get_origin, parts(annotation)) if o in (dict, tuple)), None),
-            "table",
-        )
+        within = {dict: "tables by name", tuple: "list of tables"}
+        origins = map(get_origin, parts(annotation))
+        return next((within[o] for o in origins if o in within), "table")
     if origin is Literal:
         return "choice"
     if origin is dict:
@@ -181,7 +180,7 @@ def key_of(name: str, field: FieldInfo) -> Key:
     """A field of a model as a row."""
     number = next((mark for mark in marks(field) if isinstance(mark, Q)), None)
     given, words = f"`{field.alias or name}`", field.description or ""
-    default = _default(field, number and number.row)
+    default = _default(field, number.row if number else None)
     if number is not None:
         row = number.row
         many = any(get_origin(part) is tuple for part in parts(field.annotation))

@@ -152,7 +152,8 @@ def _command(name: str, example: str, /, *shared: str, help: str = "", **options
 
         kind = Parameter.KEYWORD_ONLY
         parameters = [Parameter(key, kind, default=x, annotation=a) for key, (a, x) in rows.items()]
-        run.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+        # pyrefly: ignore[missing-attribute]
+        run.__signature__ = Signature(parameters)
         run.__annotations__ = {key: annotation for key, (annotation, _) in rows.items()}
         about: Any = {"help": help, "short_help": help} if help else {"help": work.__doc__}
         app.command(name, epilog=f"Example:  ehbench {name} {example}", **about)(run)

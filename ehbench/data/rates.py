@@ -203,7 +203,7 @@ def joined(
     """(time [s], all channels, a note on each other rate) on the time base of the fastest table;
     readings of the others lie on straight lines between their samples, commands are held. Rows that
     not all tables have values for are left out, and ``losses`` says so."""
-    rates = []
+    rates: list[str] = []
     base = min(groups, key=lambda group: group.period)
     t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)
     for group in groups:

@@ -105,6 +105,7 @@ class OneColumn(Axis):
 
     def __init__(self) -> None:
         self.breaks, self.size = np.zeros(2), 1
+        # pyrefly: ignore[bad-override-mutable-attribute]
         self.volume, self.eigenvalues = 0.0, np.zeros(1)
         self.mass, self.curvature, self.bends = np.eye(1), np.zeros((1, 1)), np.zeros((1, 1))
         self.centres = np.ones(1)
@@ -215,7 +216,8 @@ class Spline:
 
         Raises:
             LinAlgError: the penalised normal matrix is not positive definite."""
-        from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
+        # pyrefly: ignore[missing-module-attribute]
+        from scipy.linalg.lapack import dpbsv
 
         whole = self.penalised(band, smoothing)
         factor, result, info = dpbsv(whole, right, lower=1, overwrite_ab=1)
@@ -274,7 +276,8 @@ class Spline:
     def _tied(self, band: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
         """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which those at ``zero`` do not grow
         along u."""
-        from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
+        # pyrefly: ignore[missing-module-attribute]
+        from scipy.linalg.lapack import dpbsv
 
         index = np.where(zero, -1, np.arange(self.size)).reshape(self.columns, self.rows)
         last = np.maximum.accumulate(index, axis=1).ravel()
@@ -366,7 +369,8 @@ def full(band: np.ndarray) -> np.ndarray:
 
 def times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Product of a symmetric matrix, of which the band is given, with a vector."""
-    from scipy.linalg.blas import dsbmv  # pyright: ignore[reportAttributeAccessIssue]
+    # pyrefly: ignore[missing-module-attribute]
+    from scipy.linalg.blas import dsbmv
 
     return dsbmv(len(band) - 1, 1.0, band, values, lower=1)
 

@@ -102,7 +102,7 @@ def followed(log: Log, replayed: Record) -> tuple[ResponseFit, ...]:
 def late_responses(log: Log, simulated: np.ndarray) -> list[str]:
     """A warning of each channel whose recorded response is behind the model's by a delay."""
     assert log.band is not None
-    results = []
+    results: list[str] = []
     for channel, built, seen in zip(log.channels, simulated.T, log.recorded.T, strict=True):
         late, error = log.band.lateness(built, seen)
         if abs(late) > max(SETTINGS.late * log.record.sample_time, SETTINGS.surely * error):

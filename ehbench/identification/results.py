@@ -420,7 +420,7 @@ def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
 
 def _turned(log: Log, simulated: np.ndarray) -> list[str]:
     """A warning of each channel that goes the other way than the fitted model has it."""
-    results = []
+    results: list[str] = []
     for channel, y, model, counts in zip(
         log.channels, log.recorded.T, simulated.T, log.counts.T, strict=True
     ):

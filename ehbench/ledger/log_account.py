@@ -239,8 +239,8 @@ def ledger_of_log(
     every = np.arange(readings.t.size)
     table = measured.energies(every)
     facts = {"functions": sheet.functions(record, table), "sources": sources, "notes": tuple(notes)}
-    facts["oil_drawn"] = oil_drawn(model, readings.t, measured.flows)
-    return sheet.ledger(model, record, shown, base, std, **facts)
+    drawn = oil_drawn(model, readings.t, measured.flows)
+    return sheet.ledger(model, record, shown, base, std, oil_drawn=drawn, **facts)
 
 
 def _effects(

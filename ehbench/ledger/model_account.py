@@ -95,8 +95,8 @@ def ledger_of_model(model: Model, record: Record, step: float = STEP) -> Ledger:
     stored = loads.stored(fixed, t, states, sheet.stores)
     table = sheet.expand(np.concatenate([spent, stored], axis=1))
     facts = {"functions": sheet.functions(record, table), "oil_drawn": oil_drawn(model, t, flows)}
-    facts["notes"] = tuple(_missed(model, states, ends))
-    return sheet.ledger(model, record, payload_of(record), table[-1], None, **facts)
+    notes = tuple(_missed(model, states, ends))
+    return sheet.ledger(model, record, payload_of(record), table[-1], None, notes=notes, **facts)
 
 
 def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:

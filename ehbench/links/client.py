@@ -215,7 +215,7 @@ class LinkMachine:
         """
         self._begin()
         self.link.receive(0.0)  # of a session before
-        self._open, first = True, 0.0
+        self._open, first, start = True, 0.0, 0.0
         until = self.now() + LINK.patience
         while self.newest[SEQUENCE] < first + 20 or first == 0.0:
             if self.exchange(ALIVE, np.empty(0)) and first == 0.0:

@@ -36,7 +36,8 @@ class Page(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     timeout = 30.0
-    server: Server  # pyright: ignore[reportIncompatibleVariableOverride]
+    # pyrefly: ignore[bad-override-mutable-attribute]
+    server: Server
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing."""

@@ -393,17 +393,15 @@ class FlowMap:
             names_of = {"wrong": ", ".join(wrong), "known": ", ".join(names)}
             raise InputError(message("physics.map_fields", **names_of))
         try:
-            numbers = {
-                name: float(plain[name]) for name in ("deadband", "drop_max", "delta", "rated_flow")
-            }
-            low, high = (float(value) for value in plain["deadband_interval"])
-            texts = {
-                "outliers": tuple(str(text) for text in plain["outliers"]),
-                "samples": int(plain["samples"]),
-            }
-            if "leakage" in plain:
-                texts["leakage"] = (float(plain["leakage"][0]), float(plain["leakage"][1]))
-            return cls(**{**plain, **numbers, **texts, "deadband_interval": (low, high)})
+            named = dict(plain)
+            for name in ("deadband", "drop_max", "delta", "rated_flow"):
+                named[name] = float(plain[name])
+            for name in {"deadband_interval", "leakage"} & set(plain):
+                low, high = (float(value) for value in plain[name])
+                named[name] = low, high
+            named["outliers"] = tuple(str(text) for text in plain["outliers"])
+            named["samples"] = int(plain["samples"])
+            return cls(**named)
         except (TypeError, ValueError) as error:
             raise InputError(message("physics.map_kind", problem=error)) from error
 

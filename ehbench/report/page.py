@@ -89,9 +89,9 @@ def _run_section(chapter: Chapter, titles: Titles) -> Section:
     parts = []
     for part in (part for part in content.parts if part.inside and part.title):
         pieces = _titled(part.inside, run, titles)
-        drawn = [i for i, piece in enumerate(pieces) if isinstance(piece, Picture)]
-        if drawn:  # print shows the first of them
-            pieces[drawn[0]] = replace(pieces[drawn[0]], paper=True)
+        drawn = [(i, piece) for i, piece in enumerate(pieces) if isinstance(piece, Picture)]
+        for i, piece in drawn[:1]:  # print shows the first of them
+            pieces[i] = replace(piece, paper=True)
         if more := len(drawn[1:]):
             text = message("report.more_figures", figures=plural(more, "more figure"))
             pieces.append(Text(text, "paper note"))
@@ -230,9 +230,11 @@ def _render(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["signed"] = lambda value: (
+        # pyrefly: ignore[bad-argument-type]
         "0.00" if abs(value) < 0.005 else f"{value:+.2f}".replace("-", "−")
     )
     environment.filters["digest"] = digest
+    # pyrefly: ignore[missing-attribute]
     environment.filters["soft"] = lambda name: name.replace(".", ".\u200b").replace("_", "_\u200b")
     template = environment.from_string(page)
     return template.render(title=title, note=note, sections=sections, style=style, script=script)

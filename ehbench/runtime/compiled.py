@@ -25,7 +25,7 @@ from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.sources import sources
 
 PACKAGE = Path(__file__).resolve().parents[1]
-_SETTINGS: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
+_SETTINGS: Any = numba.config
 _SETTING = Lock()
 _MARKS = (
     b"@kernel",
@@ -271,6 +271,7 @@ class Table(np.recarray):
 
     __getattribute__ = np.ndarray.__getattribute__
 
+    # pyrefly: ignore[bad-override-param-name]
     def __array_finalize__(self, like: Any) -> None:
         """Nothing: numpy's own would make its rows those of numpy."""
 

@@ -42,6 +42,7 @@ class Journal:
                     row = json.loads(line) if line.endswith(b"\n") else {}
                 except ValueError:
                     row = {}
+                # pyrefly: ignore[redundant-condition]
                 if self._end and "i" in row:
                     self.done[row["i"]], self._places[row["i"]] = True, self._end
                 elif self._end or row.get("study") != key:

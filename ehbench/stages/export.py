@@ -129,14 +129,14 @@ def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Re
     if recipe.controller is None:
         if recipe.parts not in (None, "model"):
             raise InputError(message("export.without_controller"), **recipe.at("parts"))
-        command = []  # each valve opens halfway and shuts at a frequency of its own
+        command: Any = []  # each valve opens halfway and shuts at a frequency of its own
         for i, (cylinder, valve) in enumerate(state.rig.valves()):
             low, high = (0.5 * (valve.rest + end) for end in valve.given)
             item = {"valve": f"{cylinder.name}.{valve.name}", "kind": "sine"}
             item |= {"offset": f"{0.5 * (low + high)!r} V", "frequency": f"{0.5 + 0.1 * i!r} Hz"}
             command.append(item | {"amplitude": f"{0.5 * (high - low)!r} V"})
-        keys = {"stage": "trial", "rig": recipe.rig, "duration": "2 s", "command": command}
-        trial = TrialRecipe(path=recipe.path, **keys)
+        known: dict[str, Any] = {"path": recipe.path, "rig": recipe.rig, "duration": "2 s"}
+        trial = TrialRecipe(stage="trial", command=command, **known)
     else:
         item, run = _named(recipe, inputs)
         if isinstance(item, TrialRecipe):
@@ -150,8 +150,8 @@ def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Re
             raise InputError(message("export.is_code", name=law.code), **where)
     changes = {"on": "model", "bench": None, "machine": None, "fault": (), "payload_change": ()}
     changes |= {"rig": recipe.rig, "flow_maps": recipe.flow_maps}
-    keys = recipe.model_fields_set & {"payload", "rate", "posture"}
-    changes |= {key: getattr(recipe, key) for key in keys}
+    shared = recipe.model_fields_set & {"payload", "rate", "posture"}
+    changes |= {key: getattr(recipe, key) for key in shared}
     if trial.step == "auto":
         changes["step"] = TrialRecipe.model_fields["step"].default
     trial = trial.model_copy(update=changes)
@@ -193,7 +193,8 @@ def _tuned(recipe: ExportRecipe, item: Recipe, place: Path, rig: Rig) -> TrialRe
         "speed": f"{0.2 * known[name]!r} m/s",
     }
     kind = "arc" if isinstance(item, ArcTuneRecipe) else "pressure_feedback"
-    trial = {"stage": "trial", "rig": recipe.rig, "rate": item.rate, "posture": item.posture}
+    trial: dict[str, Any] = {"stage": "trial", "rig": recipe.rig, "rate": item.rate}
+    trial |= {"posture": item.posture}
     trial |= {"motion": motion, "controller": {"kind": kind, "gains": str(place)}}
     return TrialRecipe(path=recipe.path, **trial)
 
@@ -249,4 +250,4 @@ def withdraw(path: Path, source: Path | None, error: EhbenchError) -> None:
     """Delete the recipe of an export that failed; its error names the source instead, if any."""
     path.unlink(missing_ok=True)
     if error.file == str(path):
-        error.file, error.line = source and str(source), None
+        error.file, error.line = str(source) if source else None, None

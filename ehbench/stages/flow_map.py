@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ehbench.config.recipe import FlowMapRecipe
 from ehbench.config.recipe.columns import LEAVE_OUT
@@ -138,7 +139,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         return Work(facts, code=INCOMPLETE if lost else DONE)
 
 
-def _errors_of(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
+def _errors_of(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, Any]:
     """The limit of an edge's meter, and standard errors of its command and its drop."""
     limit, pressure, command = recipe.meter_limit, recipe.pressure_error, recipe.command_error
     if recipe.method == "steps":

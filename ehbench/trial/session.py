@@ -308,6 +308,7 @@ class Session:
         }
         t = np.arange(self.end) / rate
         t[: self.rows.t.size] = self.rows.t[: self.end]
+        # pyrefly: ignore[bad-argument-type]
         self.rows = rows = self.rows._replace(t=t, **tables)
         rows.checks.armed[0] = False
         before = rows.commands[row - 1].copy() if row else rest

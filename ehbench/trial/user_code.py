@@ -76,6 +76,7 @@ class Guard:
         def no_exit(status: int = 0) -> None:
             raise Exit(status)
 
+        # pyrefly: ignore[bad-assignment]
         leave, os._exit = os._exit, no_exit
         self._since = time.monotonic()
         try:

@@ -29,7 +29,7 @@ from ehbench.tune.operating_point import OperatingPoint
 from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, functions_of, pairs
 from ehbench.tune.search import SEARCH, LawSearch, choose_gain
 from ehbench.tune.study import SteadyMotion, Study
-from ehbench.vocabulary import Message, Progress, grouped, message
+from ehbench.vocabulary import Progress, grouped, message
 from ehbench.vocabulary.codes import FUNCTIONS
 
 
@@ -122,7 +122,7 @@ def _gains_by_function(
     law: Law,
     gains: np.ndarray,
     demands: dict[str, float],
-    notes: list[Message],
+    notes: list[str],
 ) -> dict[str, float]:
     """The gain of each working function; of one that no load calls for, the least."""
     counted = (motion for motion in study.motions if motion.counts)
@@ -252,5 +252,6 @@ def step_response(motion: SteadyMotion, law: Law, result: PointResult, gain: flo
         0.0, 20.0 * math.pi / max(result.natural_frequency_open, 1e-3), SEARCH.step_samples
     )
     loops = ((motion.loop(law.without_feedback()), 0.0), (motion.loop(law), gain))
+    # pyrefly: ignore[missing-attribute]
     speeds = [np.asarray(control.step_response(speed_of(*loop), t).outputs) for loop in loops]
     return StepResponse(result.name, *(tuple(a.tolist()) for a in (t, *speeds)))

@@ -14,7 +14,7 @@ from ehbench.tune.linear import faster
 from ehbench.tune.loop import Law, Loop, margins, violations
 from ehbench.tune.results import Alternative
 from ehbench.tune.study import SteadyMotion
-from ehbench.vocabulary import Message, message, setting
+from ehbench.vocabulary import message, setting
 from ehbench.vocabulary.codes import FUNCTIONS
 
 
@@ -217,7 +217,7 @@ def choose_gain(
     law: Law,
     gains: np.ndarray,
     demands: dict[str, float],
-    notes: list[Message],
+    notes: list[str],
 ) -> float:
     """The gain with the best worst case of those that keep the demands everywhere, else of all.
     What the demands cost goes to ``notes``."""

@@ -63,7 +63,7 @@ class Study(Generic[R]):
     cross: float
     motions: tuple[SteadyMotion, ...] = ()
     curves: tuple[Curves, ...] = ()
-    notes: tuple[Message, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def steady(
         self, model: Model, circuit: Circuit, function: int, here: Equivalent, index: int, aim: Aim
@@ -123,7 +123,7 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
     if not counting:
         raise InsufficientData(message("tune.no_points", cylinder=name))
     lost = [function for function in recipe.functions if function not in possible]
-    notes = [message("tune.not_possible", function=function) for function in lost]
+    notes: list[str] = [message("tune.not_possible", function=function) for function in lost]
     # a function that no load calls for is shown, but no gain is chosen on it
     shown = sorted(possible - counting)
     notes += [message("tune.for_information", function=function) for function in shown]

@@ -113,6 +113,7 @@ def with_scalars(model: Model, new: Mapping[str, Value]) -> Model:
     update: dict[str, Any] = {}
     for key, value in new.items():
         name, _, axis = key.rpartition("_")
+        # pyrefly: ignore[missing-attribute]
         if key in type(model).model_fields:
             update[key] = value
         elif isinstance(vector := update.get(name, getattr(model, name, None)), Vector):
@@ -124,6 +125,7 @@ def one_of(models: Sequence[type[BaseModel]], key: str) -> Any:
     """The type of a table that is of one of several kinds, told apart by what its ``key`` says."""
     if len(models) == 1:
         return models[0]
+    # pyrefly: ignore[invalid-annotation]
     return Annotated[Union[tuple(models)], Field(discriminator=key)]  # noqa: UP007
 
 

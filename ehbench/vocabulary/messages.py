@@ -41,6 +41,7 @@ class _Numbers(string.Formatter):
     space before %, as before other units, and counts with their word: ``{count:= row}`` is
     ``1 row`` or ``2 rows``, ``{count:= row is|rows are}`` has both."""
 
+    # pyrefly: ignore[bad-override-param-name]
     def format_field(self, value: Any, spec: str) -> str:
         if spec.startswith("= "):
             first, _, others = spec[2:].partition("|")

@@ -73,7 +73,7 @@ def folded(notes: Iterable[str]) -> list[str]:
         if any(item.startswith(f"{name}:") for item in alike.get(key, ())):
             key = note
         alike.setdefault(key, []).append(note)
-    results = []
+    results: list[str] = []
     for first, *others in alike.values():
         names = ", ".join(other.partition(": ")[0] for other in others)
         key = getattr(first, "key", "")

@@ -26,6 +26,7 @@ def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.Compl
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
     line = [sys.executable, "-m", "ehbench.app.cli", *map(str, words)]
     ways = {"capture_output": True, "text": True, "timeout": 300, "check": False} | options
+    # pyrefly: ignore[no-matching-overload]
     return subprocess.run(line, cwd=cwd, env=environment, **ways)
 
 

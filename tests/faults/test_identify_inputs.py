@@ -118,7 +118,7 @@ def test_what_the_log_excites_comes_back_without_bounds(name, factor):
     found = identify(bare, [("log", record)], [name], **given)[name]
     assert found.status == "estimated", found
     # five standard errors, and errors that make the number worth having
-    assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)  # pyright: ignore[reportOperatorIssue]
+    assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)
 
 
 @pytest.mark.slow

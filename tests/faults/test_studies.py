@@ -58,7 +58,8 @@ def makers(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join(path for path in paths if path))
         patch.syspath_prepend(str(folder))
-        import study_makers  # pyright: ignore[reportMissingImports]
+        # pyrefly: ignore[missing-import]
+        import study_makers
 
         yield study_makers.opened
 
@@ -184,7 +185,7 @@ def test_an_encrypted_cluster_works_for_who_has_a_certificate_of_its_authority(m
         threads_per_worker=1,
         protocol="tls",
         host="tls://127.0.0.1",
-        security=distributed.Security(**files),  # pyright: ignore[reportArgumentType]
+        security=distributed.Security(**files),
         dashboard_address="127.0.0.1:0",
         silence_logs=50,
     ) as cluster:

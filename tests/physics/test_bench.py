@@ -81,7 +81,7 @@ def test_a_shipped_bench_starts_quiet_and_one_without_a_file_is_plausible(name):
     table = bench.model.rest_commands(300)
     valves = [v for _, v in rig.valves()]
     for column, valve in enumerate(valves):
-        ends = {valve.edge[0].from_, valve.edge[0].to}  # pyright: ignore[reportGeneralTypeIssues]
+        ends = {valve.edge[0].from_, valve.edge[0].to}
         if len(valve.edge) > 1 or ends in ({"supply", "head"}, {"rod", "tank"}):
             table[20:, column] = 0.4 * float(valve.command_max)
     states, _ = drive(bench, table)

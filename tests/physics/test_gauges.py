@@ -138,7 +138,7 @@ def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
     assert "press.servo.opening" in fit.logs[0].fit_percent
     near(fit, valve)
     for name in valve:
-        assert fit[name].std < 0.5 * without[name].std  # pyright: ignore[reportOperatorIssue]
+        assert fit[name].std < 0.5 * without[name].std
     limits = Thresholds(fit_percent={"v": 50.0, "opening": 90.0})
     good, bad = (
         judged(one, [("a", log)], channels=("v", "opening"), thresholds=limits)

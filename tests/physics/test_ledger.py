@@ -241,6 +241,7 @@ def test_the_parts_of_a_ledger_that_cannot_be_changed(model, made):
     with refused("ledger.no_row", InputError):
         ledger["pmup"]
     with pytest.raises(AttributeError):
+        # pyrefly: ignore[read-only]
         ledger.rows = ()
     assert isinstance(ledger, Ledger) and ledger.duration == pytest.approx(2.0)
 
@@ -342,7 +343,7 @@ def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_without_
         if against != "standard":
             assert up.drawn - up.bound == pytest.approx(up.compression, abs=2e-3 * up.bound)
             assert up.compression > 2e-3 * up.bound
-        assert abs(by_name["hold"].drawn) < 2e-3 * limits.used  # pyright: ignore[reportOperatorIssue]
+        assert abs(by_name["hold"].drawn) < 2e-3 * limits.used
 
 
 # --- from a log
@@ -397,7 +398,7 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
             guess[n] = Value(number * (1 + share * rng.standard_normal()), std=share * number)
         ledger = ledger_of_log(machine.rig.with_values(guess), None, log, accuracy=quiet)
         for name, energy in true.items():
-            low, high = ledger[name].interval  # pyright: ignore[reportGeneralTypeIssues]
+            low, high = ledger[name].interval
             judged.append(low <= energy <= high)
     assert 0.88 < np.mean(judged) < 0.995
 
@@ -469,7 +470,7 @@ def test_intervals_cover_what_maps_say_of_themselves():
         record = trial(machine, lively(machine, 1001, seed=6, hold=250))
         quiet = replace(EXACT, lag=1e-6)
         ledger = ledger_of_log(rig, found, measured(record, machine), accuracy=quiet)
-        low, high = ledger.residual.interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = ledger.residual.interval
         assert "ledger.outside_map" not in keys(ledger)
         miss.append(ledger.residual.energy / (0.5 * (high - low) / 1.959964))
     assert 0.5 < math.sqrt(np.mean(np.square(miss))) < 1.6
@@ -528,10 +529,10 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
         word = "damping" if rig.mechanism.kind == "slide" else "joint_damping"
         beyond = float(true[f"{joint}.{word}"]) - float(rig.parameters()[f"{joint}.{word}"])
         more = beyond * float(np.trapezoid(truth[:, 1] ** 2, log.t))
-        low, high = ledger["unexplained.mechanism"].interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = ledger["unexplained.mechanism"].interval
         assert low <= friction + more <= high
         assert high - low < 1.2 * friction, "the interval says nothing"
-        low, high = ledger.residual.interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = ledger.residual.interval
         assert low <= friction + more + leakage <= high
         assert high - low < 0.15 * ledger.pump
         assert sum(value > 0.0 for value in ledger.sources.values()) >= 8
@@ -555,7 +556,7 @@ def test_the_pump_energy_of_the_bench_lies_in_its_interval(name, valve, volts, p
     at = bench.bench.at
     true = float(np.trapezoid(truth[:, at.pump] * truth[:, at.supply], log.t))
     (pump,) = (row for row in ledger_of_log(rig, None, log).rows if row.name == "pump")
-    low, high = pump.interval  # pyright: ignore[reportGeneralTypeIssues]
+    low, high = pump.interval
     assert low <= true <= high
     assert abs(pump.energy - true) < 0.03 * true  # without the balance of its oil 11 to 60 %
 

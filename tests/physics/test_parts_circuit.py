@@ -351,7 +351,8 @@ def test_a_log_that_empties_its_accumulator_is_told(seen):
     def told(pressure: np.ndarray, meta: dict[str, str]) -> list[str]:
         model = Record(t, {"p_supply": pressure}, {})
         log = Record(t, {"p_supply": pressure + noise} if seen else {}, meta)
-        return supply_off(log, model, RIG)  # pyright: ignore[reportReturnType]
+        # pyrefly: ignore[bad-return]
+        return supply_off(log, model, RIG)
 
     assert told(full, {}) == []
     (only,) = told(falls, {})

@@ -211,7 +211,7 @@ def test_an_underlap_comes_back_from_a_noisy_log():
     factors = {"press.servo_rod_tank.underlap": 1 / 3, "press.servo_supply_head.flow_gain": 0.6}
     fit, known = started_off(rig, [("log", noisy(made, 5))], factors)
     for name, truth in known.items():
-        low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = fit[name].interval
         assert low <= truth <= high and fit[name].status == "estimated"
         assert high - low < 0.05 * high
 

@@ -100,6 +100,7 @@ def locked_modes(model: Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             torque.append(out)
         stiffness[:, joint] += (torque[0] - torque[1]) / 2e-6
     squares, shapes = eigh(0.5 * (stiffness + stiffness.T), mass)
+    # pyrefly: ignore[bad-return]
     return np.sqrt(squares), shapes
 
 

@@ -102,6 +102,7 @@ def test_with_washout_the_steady_speed_is_that_of_the_open_loop(name, share):
     """Without gravity the load is nearly steady; after 1 s the washout's memory of the start is
     e^−9. On the arm the force of the joint damping still changes along the stroke: 1.5 %, not
     0.2 %."""
+    # pyrefly: ignore[invalid-argument]
     calm = {**STEPS[name][1].get("values", {}), "gravity": 0.0}
     open_loop, fed = (step(name, k, values=calm)[0].v[-200:].mean() for k in (0.0, STEPS[name][2]))
     assert fed == pytest.approx(open_loop, rel=share)

@@ -190,7 +190,7 @@ def chosen(z1=0.0, required=0.0, spool=0, resolution=0.0, **given):
     asked, reference = [], Stub(v=0.0)
     with answers(arc, steady_reference=0.0, select=lambda *given: asked.append(given[2]) or (0, 0),
                  clip=lambda x, low, high: min(max(x, low), high)):  # fmt: skip
-        choice = unwrap(arc.choose)(reference, z1, 0.0, required, ANY, axis, law, state)  # pyright: ignore[reportArgumentType]
+        choice = unwrap(arc.choose)(reference, z1, 0.0, required, ANY, axis, law, state)
     return choice, asked[0], state
 
 
@@ -519,6 +519,7 @@ def budgets():
     of: Any = Stub(candidate=lambda budget: tried.append(budget) or Stub(met=budget < 0.3))
     with answers(arc_tune, Search=lambda _: of, _result=None):
         arc_tune.tune_arc(ANY)
+    # pyrefly: ignore[bad-specialization]
     return len(tried), round(min(tried), 3), round(max(tried), 3)
 
 
@@ -698,7 +699,7 @@ def openings(flows=(1.0,) * 9, commands=(10.0,) * 9):
     design.circuit = Stub(edges=[Stub(sign=1.0, valve=0)], first=0, maps=None)
     design.rig = Stub(all_edges=lambda: {"e": Stub(from_="supply", to="head")})
     with answers(measures, edge_onset=1.0):
-        use = measures._use(design, 0, record, size)  # pyright: ignore[reportArgumentType]
+        use = measures._use(design, 0, record, size)
     assert use is not None
     return np.round(use[0][[0, -1]], 3).tolist(), use[0].size
 

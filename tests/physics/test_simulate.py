@@ -223,12 +223,12 @@ def test_a_posture_outside_the_stroke_says_what_the_stroke_allows(rig):
     for wrong in (low - 0.02, high + 0.02):
         with pytest.raises(InputError, match="outside the stroke") as caught:
             model.posture({cylinder.name: wrong})
-        assert "the stroke allows" in caught.value.hint  # pyright: ignore[reportOperatorIssue]
+        assert "the stroke allows" in caught.value.hint
         simulate(rig, {}, 0.01, posture={cylinder.name: min(max(wrong, low), high)})
     with pytest.raises(InputError, match="no cylinder or joint"):
         model.posture({"elbow": "10 deg"})
     with pytest.raises(InputError, match="no table") as caught:
-        model.posture(["120 mm"])  # pyright: ignore[reportArgumentType]
+        model.posture(["120 mm"])
     assert cylinder.name in (caught.value.hint or "")
 
 

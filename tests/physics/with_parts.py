@@ -130,7 +130,7 @@ def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> No
         logs = [(f"log {i}", noisy(log, 10 * seed + i)) for i, log in enumerate(made)]
         fit, truth = started_off(rig, logs, factors)
         for name, value in truth.items():
-            low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
+            low, high = fit[name].interval
             assert fit[name].status == "estimated", fit[name]
             assert fit[name].std < accuracy * abs(value), fit[name]
             held.append(low <= value <= high)

@@ -210,6 +210,7 @@ def test_recipes_say_what_is_tied(tmp_path, inside, undrawn):
     logs = read_json(outcome.folder / "parameters.json")["logs"]
     assert set(logs[0]["fit_percent"]) == {"press.p_head", "press.p_rod"}
     judge = {"stage": "validate", "rig": str(outcome.folder)}
+    # pyrefly: ignore[bad-assignment]
     judge["data"] = [{"path": "log.mcap", "tied": "position"}]
     (tmp_path / "judge.toml").write_text(tomli_w.dumps(judge))
     checked = inside("check", "-v", tmp_path / "judge.toml")

@@ -74,9 +74,9 @@ def test_means_tell_what_samples_tell(time):
     for the bulk modulus, some more for the damping)."""
     whole, means = identify(logs(1, time), decimate=1), identify(logs(1, time))
     for name, truth in TRUTH.items():
-        low, high = means[name].interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = means[name].interval
         assert low <= truth <= high
-        assert abs(means[name].value - whole[name].value) < 0.25 * whole[name].std  # pyright: ignore[reportOperatorIssue]
+        assert abs(means[name].value - whole[name].value) < 0.25 * whole[name].std
         assert 0.93 < width(means[name]) / width(whole[name]) < 1.07
     assert whole.compared == ()
     assert means.compared == ("all logs are compared as means of 6 samples, 1.67 kHz of 10 kHz",)
@@ -99,7 +99,7 @@ def test_a_step_may_be_taken_at_any_sample():
     """A command that changes within a mean acts there: half a mean late is many errors off."""
     fit = identify(logs(2), decimate=33)
     for name, truth in TRUTH.items():
-        assert abs(fit[name].value - truth) < 3.5 * fit[name].std  # pyright: ignore[reportOperatorIssue]
+        assert abs(fit[name].value - truth) < 3.5 * fit[name].std
         assert fit[name].std < 0.02 * truth
     assert not any("behind" in text for text in fit.warnings)
 

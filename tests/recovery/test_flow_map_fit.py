@@ -358,7 +358,7 @@ def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case):
     assert np.sqrt(np.mean(error**2)) < 0.01 * found.map.rated_flow
     # and not by intervals so wide that they hold anything: some twice the readings' own 0.5 %,
     # without repeats four times
-    wide = np.median(found.map.flow_std(drop, command)[command > 1.6]) / found.map.rated_flow  # pyright: ignore[reportIndexIssue]
+    wide = np.median(found.map.flow_std(drop, command)[command > 1.6]) / found.map.rated_flow
     assert wide < (0.01 if trials > 1 else 0.02)
     # one in two hundred good readings may go, as repeats do lie apart by chance
     assert len(found.outliers) <= 0.005 * len(commands) * len(drops) * trials

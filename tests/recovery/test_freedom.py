@@ -47,7 +47,7 @@ def test_a_compensators_drop_is_told_by_its_range(truth, start):
         compensated(truth), [("log", noisy(made, 1))], ["bulk_modulus", DROP], given
     )
     found = fit[DROP]
-    low, high = found.interval  # pyright: ignore[reportGeneralTypeIssues]
+    low, high = found.interval
     assert found.status == "estimated" and low <= truth <= high < 1.0e7
     if truth < 1e6:
         assert found.error_from == "range" and low == 2e4
@@ -84,7 +84,7 @@ def test_a_parameter_that_its_range_alone_tells_needs_no_other(truth):
     ]
     given = FitOptions(start={name: 8e-4}, upper={name: 3.2e-3}, workers=1)
     found = identify_hydraulics(rig, logs, [name], given)[name]
-    low, high = found.interval  # pyright: ignore[reportGeneralTypeIssues]
+    low, high = found.interval
     assert found.status == "estimated" and low <= truth <= high
     if truth < 5e-4:
         assert high - low < 0.01 * truth and found.value == pytest.approx(truth, rel=5e-3)

@@ -134,7 +134,7 @@ def test_six_parameters_of_the_arm_from_six_logs():
     for name, value in truth.items():
         assert fit[name].status == "estimated" and fit[name].std < 0.03 * value
     for name in zeros:  # the truth is at the bound
-        low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = fit[name].interval
         assert low == 0.0 and high < 0.02 * fit[name].upper
 
 

@@ -45,7 +45,7 @@ def test_the_others_are_fitted_again_along_a_profile(prepared):
     middle = followed[int(np.argmin(found.rise))]
     assert middle == pytest.approx(fit["bulk_modulus"].value, rel=1e-3)
     # by more than its own interval is wide: the two are known together only
-    low, high = fit["bulk_modulus"].interval  # pyright: ignore[reportGeneralTypeIssues]
+    low, high = fit["bulk_modulus"].interval
     assert np.ptp(followed) > high - low
     # the rise falls to the best value and grows beyond it
     k = int(np.argmin(found.rise))

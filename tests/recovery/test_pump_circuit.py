@@ -80,5 +80,5 @@ def comes_back(rig: Rig, given: list[tuple[str, Record]], factors: dict[str, flo
         assert found.status in ("estimated", "correlated")
         assert found.start == factors[name] * truth
         # four standard errors: one parameter in 16 000 fails by chance
-        assert abs(found.value - truth) < 4.0 * found.std, found  # pyright: ignore[reportOperatorIssue]
+        assert abs(found.value - truth) < 4.0 * found.std, found
         assert found.std < 0.05 * truth

@@ -67,10 +67,10 @@ def test_oil_and_damping_are_right_on_a_supply_that_the_rig_file_does_not_know()
     given, own = fit(RECORDED), fit("model")
     truth = rig().parameters()
     for name in (STIFF, LOSS):
-        low, high = given[name].interval  # pyright: ignore[reportGeneralTypeIssues]
+        low, high = given[name].interval
         assert low < float(truth[name]) < high, name
     assert given[STIFF].value == pytest.approx(float(truth[STIFF]), rel=2e-3)
-    low, high = given[STIFF].interval  # pyright: ignore[reportGeneralTypeIssues]
+    low, high = given[STIFF].interval
     wide = own[STIFF].interval
     assert high - low < 0.2 * (wide[1] - wide[0])
     assert any("bar below the model's" in text and RECORDED in text for text in own.warnings)
@@ -114,7 +114,7 @@ def test_a_validation_says_that_the_supply_is_another():
     assert any("own: p_supply is up to" in text for text in found.reservations)
     assert not any("p_supply is up to" in text for text in given.warnings)
     fits = [{one.channel: one.fit_percent for one in log.channels} for log in found.logs]
-    assert all(fits[1][name] > fits[0][name] for name in fits[0])  # pyright: ignore[reportOperatorIssue]
+    assert all(fits[1][name] > fits[0][name] for name in fits[0])
 
 
 @pytest.mark.parametrize(
@@ -153,8 +153,8 @@ def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channe
     assert judged(machine, [("log", record)]).reservations == ()
     for meta in ({}, {SUPPLY: RECORDED}):
         (told,) = judged(other, [("log", replace(record, meta=meta))] * 2).reservations
-        assert told.key == "preprocessing.level_off"  # pyright: ignore[reportAttributeAccessIssue]
-        line = told.fields["line"]  # pyright: ignore[reportAttributeAccessIssue]
+        assert told.key == "preprocessing.level_off"
+        line = told.fields["line"]
         assert line.startswith(f'{key} = "') and written(line) == pytest.approx(known, rel=5e-3)
         assert "psi" in line and "e+" not in line
     fitted = identify_hydraulics(other, [("log", record)], [STIFF])

@@ -36,7 +36,7 @@ SYSTEM = signal.cont2discrete(
 
 def truth(frequency: np.ndarray) -> np.ndarray:
     """The sampled system's own response, with its delay."""
-    numerator, denominator, _ = SYSTEM  # pyright: ignore[reportAssignmentType, reportGeneralTypeIssues]
+    numerator, denominator, _ = SYSTEM
     _, found = signal.freqz(np.squeeze(numerator), denominator, frequency, fs=RATE)
     return found * np.exp(-2j * math.pi * frequency * LATE / RATE)
 
@@ -69,7 +69,7 @@ def log(
     random = np.random.default_rng(seed)
     t = np.arange(round(seconds * RATE)) / RATE
     x = INPUTS[kind](random, t)
-    y = signal.lfilter(np.squeeze(SYSTEM[0]), SYSTEM[1], np.r_[np.zeros(LATE), x[:-LATE]])  # pyright: ignore[reportIndexIssue]
+    y = signal.lfilter(np.squeeze(SYSTEM[0]), SYSTEM[1], np.r_[np.zeros(LATE), x[:-LATE]])
     y += 0.1 + noise * random.standard_normal(x.size)
     return f"log_{seed}", Record(t, dict(zip(NAMES, (2.0 + x, y), strict=True)))
 
@@ -131,9 +131,9 @@ def test_the_delay_is_found_and_its_interval_holds():
     for seed in range(150):
         found = estimate(signals(delayed(seed, 5), segment=0.5, frequency=100.0))
         delay = found.delay
-        inside.append(delay.low < 5e-3 < delay.high)  # pyright: ignore[reportOperatorIssue]
+        inside.append(delay.low < 5e-3 < delay.high)
         errors.append(delay.value - 5e-3)
-        halves.append(0.5 * (delay.high - delay.low))  # pyright: ignore[reportOperatorIssue]
+        halves.append(0.5 * (delay.high - delay.low))
     assert 0.9 <= np.mean(inside) <= 0.99
     assert np.std(errors) * 1.96 == pytest.approx(np.mean(halves), rel=0.2)
     assert "frequency_response.curved_phase" not in [note.key for note in found.warnings]
@@ -472,7 +472,7 @@ def test_a_delay_that_nobody_modelled_shows_up():
     free = fitted(DELAYED, sensors=(Sensor(channel=COMMAND, delay="estimate"),))
     (delay,) = free.sensors
     assert abs(delay.value - 0.008) < 3.0 * delay.std + 1e-4 and delay.std < 1e-3
-    low, high = free["bulk_modulus"].interval  # pyright: ignore[reportGeneralTypeIssues]
+    low, high = free["bulk_modulus"].interval
     assert low <= TRUE["bulk_modulus"] <= high
 
 

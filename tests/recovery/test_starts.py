@@ -67,7 +67,7 @@ def test_parameters_come_back_from_logs_that_begin_in_motion():
     given = FitOptions(start={"bulk_modulus": 5e8, "carriage.damping": 1500.0})
     fit = identify_hydraulics(shipped("slide_servo"), logs, SLIDE, given)
     for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)):
-        assert abs(fit[name].value - truth) < 4.0 * fit[name].std, fit[name]  # pyright: ignore[reportOperatorIssue]
+        assert abs(fit[name].value - truth) < 4.0 * fit[name].std, fit[name]
         assert fit[name].std < 0.02 * truth
     assert all(percent > 90.0 for log in fit.logs for percent in log.fit_percent.values())
     assert any("already moves at the first sample" in text for text in fit.warnings)
@@ -147,7 +147,7 @@ def test_a_slide_with_a_position_sensor_only_keeps_its_motion():
     fit = identify_hydraulics(shipped("slide_servo"), logs, SLIDE, given)
     assert "press.v" in fit.logs[0].fit_percent
     for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)):
-        assert abs(fit[name].value - truth) < 4.0 * fit[name].std, fit[name]  # pyright: ignore[reportOperatorIssue]
+        assert abs(fit[name].value - truth) < 4.0 * fit[name].std, fit[name]
 
 
 def test_what_a_log_lacks_is_left_wide():
@@ -193,7 +193,7 @@ def test_a_mean_tank_pressure_that_is_off_is_in_the_interval():
     off = 2.0 * mean_error(noise, 100) - np.mean(noise[:100])
     record = replace(seen, channels=seen.channels | {"p_tank": seen["p_tank"] + noise + off})
     found = identify_hydraulics(one, [("log", record)], [name], FitOptions(workers=1))
-    assert abs(found[name].value - 5e5) < 2.0 * found[name].std  # pyright: ignore[reportOperatorIssue]
+    assert abs(found[name].value - 5e5) < 2.0 * found[name].std
     assert found[name].from_starts > 0.5 and found.logs[0].start_shift["p_tank"] < 0.0
 
 

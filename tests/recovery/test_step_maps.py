@@ -70,8 +70,8 @@ def test_a_map_from_steps_holds_the_edge_s_law(rig, logs):
     inside = fit.inside(drop, command)
     left = (fit.flow(drop, command) - true_flow(model, "boom.rt", drop, command))[inside]
     assert inside.sum() > 100  # of 900
-    assert np.mean(np.abs(left) < 1.96 * fit.flow_std(drop, command)[inside]) > 0.9  # pyright: ignore[reportIndexIssue]
-    assert np.max(fit.flow_std(drop, command)[inside]) < 0.02 * fit.rated_flow  # pyright: ignore[reportIndexIssue]
+    assert np.mean(np.abs(left) < 1.96 * fit.flow_std(drop, command)[inside]) > 0.9
+    assert np.max(fit.flow_std(drop, command)[inside]) < 0.02 * fit.rated_flow
 
 
 def test_a_recipe_maps_what_the_logs_step(rig, logs, undrawn, tmp_path, monkeypatch):

@@ -165,6 +165,7 @@ class Page(HTMLParser):
         self.feed(text)
         self.close()
 
+    # pyrefly: ignore[bad-override-param-name]
     def handle_starttag(self, tag, attributes):
         named = dict(attributes)
         self.ids += [named["id"]] if "id" in named else []
@@ -181,6 +182,7 @@ class Page(HTMLParser):
         if not self.open or self.open.pop() != tag:
             self.bad.append((tag, self.getpos()))
 
+    # pyrefly: ignore[bad-override-param-name]
     def handle_startendtag(self, tag, attributes):
         self.handle_starttag(tag, attributes)
         if tag not in VOID:

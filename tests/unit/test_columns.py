@@ -408,7 +408,7 @@ def test_a_python_user_names_the_map_by_its_file(tmp_path):
     raw_log(tmp_path / "raw.csv")
     (tmp_path / "my.map.toml").write_text("[names]\n" + MAP)
     frame = read_log(tmp_path / "raw.csv", columns=tmp_path / "my.map.toml")
-    assert frame["press.p_head"].max() == pytest.approx(8.839e6, rel=1e-3)  # pyright: ignore[reportGeneralTypeIssues]
+    assert frame["press.p_head"].max() == pytest.approx(8.839e6, rel=1e-3)
 
 
 # --- drafts

@@ -60,7 +60,7 @@ def test_the_cache_lies_where_it_can_be_written(tmp_path, monkeypatch):
     places = [tmp_path / name for name in ("package", "told", "home", "temporary")]
     places[3].mkdir()
     monkeypatch.setattr(compiled, "PACKAGE", places[0])
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(places[1]))  # pyright: ignore[reportPrivateImportUsage]
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(places[1]))
     monkeypatch.setenv("HOME", str(places[2]))
     monkeypatch.setenv("USERPROFILE", str(places[2]))
     monkeypatch.setattr(compiled.tempfile, "tempdir", str(places[3]))
@@ -76,9 +76,9 @@ def test_the_cache_lies_where_it_can_be_written(tmp_path, monkeypatch):
 @pytest.mark.parametrize("where", ["", "/elsewhere"])
 def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
     """Also where the host has told numba of a place of its own."""
-    monkeypatch.setattr(numba.config, "CACHE_DIR", where)  # pyright: ignore[reportPrivateImportUsage]
+    monkeypatch.setattr(numba.config, "CACHE_DIR", where)
     mine = compiled.allocating_kernel(grows)
-    assert numba.config.CACHE_DIR == where  # pyright: ignore[reportPrivateImportUsage]
+    assert numba.config.CACHE_DIR == where
     folder = str(compiled._cache_folder())
     for function in (mine, integrate.run, integrate.advance):
         assert function.outer.stats.cache_path.startswith(folder)

@@ -353,7 +353,7 @@ def test_windows_give_the_error_of_their_median(errors, each, std, role):
     ring = Stub(natural_frequency=20.0, natural_frequency_std=20.0 * each, damping_ratio_std=each)
     windows = [Stub(recorded=ring)] * len(errors)
     asked = Stub(windows=windows, search=[Stub(row=Stub(mode_role=role))])
-    found, quantile, count = Matching._scatter(asked, 0, np.array(errors), -2.0)  # pyright: ignore[reportArgumentType]
+    found, quantile, count = Matching._scatter(asked, 0, np.array(errors), -2.0)
     assert found == pytest.approx(std / 2.0) and count == np.isfinite(errors).sum()
     assert quantile == pytest.approx(
         norm.ppf(0.975) if count == 1 else student.ppf(0.975, count - 1), rel=1e-6

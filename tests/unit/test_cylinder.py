@@ -47,18 +47,22 @@ def rk4(rate, state, step, count):
 
 @THESIS_CASES
 def test_joint_range_lever_and_its_inverse_of_the_thesis(geometry, stroke, degrees):
-    ends = np.degrees(cylinder.joint_range(*geometry, stroke))  # pyright: ignore[reportCallIssue]
+    # pyrefly: ignore[bad-argument-count]
+    ends = np.degrees(cylinder.joint_range(*geometry, stroke))
     assert ends == pytest.approx(degrees, abs=0.5)  # SPEC prints whole degrees
     h = 1e-5  # truncation h² = 1e-10 of the value, rounding 1e-16 / h = 1e-11
-    for q in np.linspace(*cylinder.joint_range(*geometry, stroke), 15):  # pyright: ignore[reportCallIssue]
+    # pyrefly: ignore[bad-argument-count]
+    for q in np.linspace(*cylinder.joint_range(*geometry, stroke), 15):
         below, here, above = (cylinder.linkage(*geometry, q + k * h) for k in (-1, 0, 1))
         assert here[1] == pytest.approx((above[0] - below[0]) / (2 * h), abs=1e-9)
         assert here[2] == pytest.approx((above[1] - below[1]) / (2 * h), abs=1e-9)
         assert here[1] * geometry[3] > 0
     x = np.linspace(0.0, stroke, 50)
-    q = cylinder.joint_angle(*geometry, x)  # pyright: ignore[reportCallIssue]
+    # pyrefly: ignore[bad-argument-count]
+    q = cylinder.joint_angle(*geometry, x)
     assert [cylinder.linkage(*geometry, value)[0] for value in q] == pytest.approx(x, abs=1e-14)
-    assert cylinder.joint_angle(*geometry, x[7]) == q[7]  # pyright: ignore[reportCallIssue]
+    # pyrefly: ignore[bad-argument-count]
+    assert cylinder.joint_angle(*geometry, x[7]) == q[7]
 
 
 def test_linkages_by_hand_at_dead_points_and_of_a_slide():

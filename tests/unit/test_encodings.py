@@ -219,6 +219,7 @@ def mdf(path: Path, version: str) -> READ:
         asammdf.Signal(counts, t, name=name, conversion=from_dict(dict(conversion)))
         for name, (conversion, _) in rows.items()
     ]
+    # pyrefly: ignore[no-matching-overload]
     signals.append(asammdf.Signal(large, t, name="large", conversion=from_dict(dict(square))))
     expected["large"] = [(100.0 * c) ** 2 / (100.0 * c + 1.0) for c in COUNTS]
     for kind in ("u1", "i2", "u4", "f4", "f8"):

@@ -59,6 +59,7 @@ def prepared(name: str, law: str = "", several: bool = True):
             motion = {"kind": "point_to_point", "cylinder": cylinder.name, "waypoints": points}
             motions.append(motion | {"speed": f"{0.2 * stroke!r} m/s", "hold": "0.05 s"})
         keys["motion"] = motions[-1] | ({"also": motions[:-1]} if motions[:-1] else {})
+        # pyrefly: ignore[bad-assignment]
         keys["controller"] = {"kind": law, "gains": gains}
     recipe = TrialRecipe(path=Path("x.toml"), **keys)
     return rig, trial.prepare(recipe, rig)

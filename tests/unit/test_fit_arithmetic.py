@@ -202,7 +202,7 @@ def test_what_is_freed_has_no_prior():
     given: list = []
     with answers(sensitivity, prior_of=prior, _with=None,
                  release_of=lambda _, known, minimum: given.append((known, minimum))):  # fmt: skip
-        sensitivity._release(Stub(), Stub(state=Stub(live=(0,))), Stub(), 3.0)  # pyright: ignore[reportArgumentType]
+        sensitivity._release(Stub(), Stub(state=Stub(live=(0,))), Stub(), 3.0)
     ((known, minimum),) = given
     assert (known.sharpness.tolist(), known.off.tolist()) == ([2.0, 0.0], [0.5, 0.0])
     assert (known.weight, minimum) == (0.7, 3.0)
@@ -233,7 +233,7 @@ def test_a_parameter_that_its_range_tells_is_as_sure_as_that_is_wide():
     log = Stub(each=10, counts=counts)
     asked: Any = Stub(search=[place], logs=[log, log])
     state: Any = Stub(theta=[math.log(2.0)], ranges={0: (math.log(1.0), math.log(3.0))})
-    item = _fitted(asked, state, Stub(by_index={}), 0)  # pyright: ignore[reportArgumentType]
+    item = _fitted(asked, state, Stub(by_index={}), 0)
     assert item.interval == pytest.approx((1.0, 3.0)) and item.std == pytest.approx(1.0 / Z95)
     assert (item.status, item.error_from, item.samples) == ("estimated", "range", 40)
 
@@ -391,7 +391,7 @@ def test_a_step_that_gains_what_it_should_leaves_the_starts_as_they_are(
     given = {"linearised": [], "start_jacobian": [], "step": (here, [], 2.0), "evaluate": there}
     given |= {"carried": there, "cost": lambda _, state: 10.0 - 2.0 * gained * (state is there)}
     with answers(descent, **given):
-        before: Any = descent._Descent(here, origin, 2.0, 4)  # pyright: ignore[reportArgumentType]
+        before: Any = descent._Descent(here, origin, 2.0, 4)
         after = descent._stepped(asked, before, 1e-3, secant)
     assert after is not None and after.state is there and after.steps == 5
     assert after.origin is (there if anew else origin)
@@ -462,7 +462,7 @@ def test_means_leave_a_log_two_hundred_of_them(given, samples, key):
     with refused(f"identification.{key}", InputError) as said:
         hydraulics._decimate(records, options, WHERE)
     if key == "large_means":
-        fields: Any = said.value.message.fields  # pyright: ignore[reportAttributeAccessIssue]
+        fields: Any = said.value.message.fields
         assert (fields["means"], fields["maximum"]) == (samples // given, samples // 200)
 
 
@@ -527,7 +527,7 @@ def test_what_a_sensor_does_to_its_channel_is_read_off(rng, word):
     y = 5.0 + WAVE[:, 0]
     log = log_of(np.arange(400)[:, None] > [9, -1], v=y, p_head=1e5 * y)
     doubts = (Stub(name="press.p_head", std=3.0), Stub(name="press.v", std=0.5))
-    log = replace(log, start=Stub(uncertain=doubts, terms=()))  # pyright: ignore[reportArgumentType]
+    log = replace(log, start=Stub(uncertain=doubts, terms=()))
     slopes = rng.standard_normal((400, 2, 2))
     fit: Any = Stub(logs=[log], cutoff=None)
     residual = rng.standard_normal((400, 2))
@@ -539,8 +539,8 @@ def test_what_a_sensor_does_to_its_channel_is_read_off(rng, word):
         (change,) = changes
         other: Any = Stub(numbers=(), readings=(("press.q", word, 0.1),))
         assert _read_off(fit, state, other) is None
-        assert _read_off(fit, state, Stub(numbers=(1,), readings=row.readings)) is None  # pyright: ignore[reportArgumentType]
-        assert _read_off(fit, state, Stub(numbers=(), readings=row.readings * 2)) is None  # pyright: ignore[reportArgumentType]
+        assert _read_off(fit, state, Stub(numbers=(1,), readings=row.readings)) is None
+        assert _read_off(fit, state, Stub(numbers=(), readings=row.readings * 2)) is None
     seen = y + residual[:, 0]
     by = {"offset": np.full(400, 0.1), "scale": 0.1 * seen}.get(word)
     expected = np.zeros((400, 2))
@@ -857,7 +857,7 @@ def test_halvings_find_where_a_parameter_is_denied(rise, ends, lowest):
 def test_a_mean_lasts_a_twentieth_of_the_fastest_period(count, tick, frequency, cutoff, each):
     log = Record(np.arange(count) * tick, {"press.v": np.zeros(count)})
     with answers(means, fastest=frequency):
-        found = means.means_of(Stub(), log, "auto", cutoff)  # pyright: ignore[reportArgumentType]
+        found = means.means_of(Stub(), log, "auto", cutoff)
     assert (found and found.each) == each
 
 
@@ -867,7 +867,8 @@ def test_a_mean_lasts_a_twentieth_of_the_fastest_period(count, tick, frequency, 
 class Row(Stub):
     """A row of the fault table, which is a key."""
 
-    __hash__ = object.__hash__  # pyright: ignore[reportAssignmentType]
+    # pyrefly: ignore[bad-assignment]
+    __hash__ = object.__hash__
 
 
 def suspect(name, gain, move, certainty=1, bounds=(-9.0, 9.0)):
@@ -895,8 +896,8 @@ def test_rows_that_promise_are_the_likeliest_and_of_these_the_least_sure_first()
     with answers(sensitivity, cost=100.0, prior_of=None, _with=lambda _, some: some, _logs_of=[0],
                  _columns={}, _release=release, gains_of=lambda some, _: [i.row.gain for i in some],
                  _moved=lambda _, __, theta: (Stub(theta=float(theta[0])),)):  # fmt: skip
-        found = sensitivity._promising(fit, result, every, Stub())  # pyright: ignore[reportArgumentType]
-        assert sensitivity._promising(fit, result, [], Stub()) == []  # pyright: ignore[reportArgumentType]
+        found = sensitivity._promising(fit, result, every, Stub())
+        assert sensitivity._promising(fit, result, [], Stub()) == []
     assert [item.row.name for item in found] == ["guessed", "low", "sure", "less"]
     assert [item.delta for item in found] == [3.0, -1.0, 2.0, 1.0]
     assert [item.explains for item in found] == pytest.approx([0.4, 0.3, 0.5, 0.2])
@@ -918,7 +919,8 @@ def test_white_noise_alone_is_asked_of_no_fixed_number(extra, noise):
     left = [residual + swing * spread * math.sqrt(2.0) for residual in state.here.residuals]
     state = replace(state, point=replace(state.here, residuals=left))
     for log in asked.logs:
-        log.recorded = log.recorded + 0.0  # pyright: ignore[reportAttributeAccessIssue]
+        # pyrefly: ignore[read-only]
+        log.recorded = log.recorded + 0.0
     assert sensitivity._only_noise(asked, weighed(asked, state)) == noise
     assert not sensitivity._only_noise(replace(asked, cutoff=9.0), weighed(asked, state))
 
@@ -960,11 +962,11 @@ def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells()
         return every
 
     with answers(sensitivity, hypotheses=asked):
-        found = sensitivity._fixed_rows(fit, Stub(theta=None))  # pyright: ignore[reportArgumentType]
+        found = sensitivity._fixed_rows(fit, Stub(theta=None))
         assert [item.name for item in found] == ["a", "gain of a part", "lag"]
         assert seen == [({"fitted": 2.0}, ["press"], ["press.v"])]
         log.band = Stub()
-        found = sensitivity._fixed_rows(fit, Stub(theta=None))  # pyright: ignore[reportArgumentType]
+        found = sensitivity._fixed_rows(fit, Stub(theta=None))
     assert [item.name for item in found] == ["a", "gain of a part"]
 
 
@@ -975,7 +977,7 @@ def test_a_number_that_moves_an_estimate_by_half_of_its_interval_is_freed(beyond
     asked = []
     with answers(sensitivity, _only_noise=False, _screened=([], ()), _promising=lambda *_: [item],
                  _confirmed=lambda *given: asked.append(given)):  # fmt: skip
-        sensitivity.doubts_of(fit, Stub(), Stub())  # pyright: ignore[reportArgumentType]
+        sensitivity.doubts_of(fit, Stub(), Stub())
     assert len(asked) == freed
 
 
@@ -1006,7 +1008,7 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
     with answers(sensitivity, _freed=(freed, None, [1]), solve=(None, True),
                  evaluate=None, errors_of=errors, _moved=("moved",),
                  cost=lambda _, state: after if state is end else 100.0):  # fmt: skip
-        found = sensitivity._confirmed(fit, result, item, Stub())  # pyright: ignore[reportArgumentType]
+        found = sensitivity._confirmed(fit, result, item, Stub())
     assert (found is not None) == confirmed
     if found:
         lean = found[1]
@@ -1042,7 +1044,7 @@ def test_a_row_is_freed_from_its_own_step_alone_where_slopes_lead_astray(far, al
     with answers(sensitivity, _freed=freed, solve=solved, evaluate=lambda _, state: state,
                  errors_of=lambda _, state: Stub(state=state, by_index=errors), _moved=(),
                  cost=lambda _, state: getattr(state, "cost", 100.0)):  # fmt: skip
-        sensitivity._confirmed(fit, result, item, Stub())  # pyright: ignore[reportArgumentType]
+        sensitivity._confirmed(fit, result, item, Stub())
     assert [list(begin.theta) for begin in ended] == [[5.0 * chosen, 7.0, 1.0]]
 
 
@@ -1150,7 +1152,7 @@ def test_what_rows_change_is_a_difference_over_its_step_in_units_of_the_scales()
     state: Any = Stub(here=here, scales={"press.v": 2.0})
     which = {mass: [0], oil: [1], speed: [0, 1], broken: [0]}
     with answers(sensitivity, Simulator=simulator, _with_terms=lambda logs, _: logs):
-        found = sensitivity._columns(fit, state, which, Stub())  # pyright: ignore[reportArgumentType]
+        found = sensitivity._columns(fit, state, which, Stub())
     assert [vector for name, vector, *_ in asked if name == "x"] == [
         pytest.approx([10.0, 2.3, 5.0, 7.0]),
         pytest.approx([10.0, 2.0, 4.8, 7.0]),
@@ -1211,7 +1213,7 @@ def test_an_edge_has_the_numbers_of_its_law_or_the_factor_of_its_map(word, mappe
             return work()
         with refused(f"identification.{key}", InputError) as said:
             work()
-    fields: Any = said.value.message.fields  # pyright: ignore[reportAttributeAccessIssue]
+    fields: Any = said.value.message.fields
     assert fields["right"] == ("map_factor" if mapped else "flow_gain")
     assert f"{fields['edge']}.{word}" == names[1]
 
@@ -1336,10 +1338,10 @@ def test_doubts_are_of_the_gain_that_promises_most_and_of_what_fits_confirm():
                  _screened=lambda *given: counts.append(given[3]) or ([], ("unasked",)),
                  _release=Stub(std=0.1), _confirmed=confirmed, _sentence="told"):  # fmt: skip
         state: Any = Stub(ranges={})
-        found = sensitivity.doubts_of(fit, state, Stub())  # pyright: ignore[reportArgumentType]
+        found = sensitivity.doubts_of(fit, state, Stub())
     assert counts == [120] and found.unasked == ("unasked",)
     (gain,) = found.warnings
-    fields: Any = gain.fields  # pyright: ignore[reportAttributeAccessIssue]
+    fields: Any = gain.fields
     assert (fields["name"], fields["move"], fields["share"]) == ("first", -50.0, 0.5)
     assert fields["half"] == pytest.approx(19.6, rel=1e-4)
     assert [lean.name for lean in found.leans] == ["most", "some", "sure"]
@@ -1364,7 +1366,7 @@ def test_rows_are_asked_of_the_log_that_is_followed_worst_of_those_that_show_the
                  scaled=lambda *_: [np.array([[-3.0]]), np.array([[2.0, 2.0]])],
                  _read_off=lambda _, __, row: read.get(row.name),
                  _logs_of=lambda _, row: shows[row.name]):  # fmt: skip
-        found, unasked = sensitivity._screened(fit, Stub(), Stub(), 3)  # pyright: ignore[reportArgumentType]
+        found, unasked = sensitivity._screened(fit, Stub(), Stub(), 3)
     assert asked == [{"either": [0], "second": [1], "none": [0]}] and unasked == ("late",)
     logs = {item.row.name: item.logs for item in found}
     assert logs == {"read": (0, 1), "either": (0,), "second": (0, 1)}
@@ -1430,7 +1432,7 @@ def test_a_solution_elsewhere_is_better_that_surely_falls_and_ends_lower(rise, a
     state = State(np.zeros(2), [], {}, np.zeros((2, 3), bool), (0, 1), prior_weight=4.0)
     with answers(estimate, solve=lambda _, item, __: (item, True),
                  cost=lambda _, item: 10.0 if item is state else after):  # fmt: skip
-        found = estimate._better(Stub(), state, 1, rise, 0.5)  # pyright: ignore[reportArgumentType]
+        found = estimate._better(Stub(), state, 1, rise, 0.5)
     assert (found is not None) == better
     assert found is None or found.theta.tolist() == [0.0, 0.5]
     assert found is None or found.influence.tolist() == [[False] * 3, [True] * 3]

@@ -134,7 +134,7 @@ def test_packed_maps_keep_apart_and_match_the_arrays():
             flow = map_flow(drop, opening, data, start)
             assert flow == one.flow(drop, opening)
             assert map_command(drop, flow, data, start) == one.command(drop, flow)
-    assert len({one.flow(1e6, 5.0) for one in maps}) == 4  # pyright: ignore[reportUnhashable]
+    assert len({one.flow(1e6, 5.0) for one in maps}) == 4
     assert pack([])[1].size == 0
 
 
@@ -172,12 +172,12 @@ def test_slopes_are_continuous_above_the_deadband_and_finite_at_zero_drop():
     for knot in one.opening_knots[1:]:
         q = one.flow(2.2e6, knot + h * np.array([-1, 0, 1]))
         # one-sided slopes differ by h times the curvature, some 1e-6 of them
-        assert math.isclose(q[1] - q[0], q[2] - q[1], rel_tol=1e-4)  # pyright: ignore[reportIndexIssue]
+        assert math.isclose(q[1] - q[0], q[2] - q[1], rel_tol=1e-4)
     edges = np.linspace(0, root_drop(one.drop_max, one.delta), one.increments.shape[1] - 1)[1:-1]
     for s in edges:
         drop = s * math.sqrt(0.5 * s**2 + math.sqrt(0.25 * s**4 + one.delta**2))
         q = one.flow(drop * (1 + 1e-6 * np.array([-1, 0, 1])), 5.0)
-        assert abs((q[2] - q[1]) - (q[1] - q[0])) < 1e-5 * one.rated_flow * 1e-6  # pyright: ignore[reportIndexIssue]
+        assert abs((q[2] - q[1]) - (q[1] - q[0])) < 1e-5 * one.rated_flow * 1e-6
     slope = one.flow(np.array([1e-3, 1e-2, 1e-1]), 5.0) / np.array([1e-3, 1e-2, 1e-1])
     np.testing.assert_allclose(slope, slope[0], rtol=1e-4)
 
@@ -335,7 +335,8 @@ def test_non_negative_least_squares_are_those_of_scipy(guess):
         found, zero = non_negative(rows.T @ rows, rows.T @ wanted, np.full(20, guess))
         np.testing.assert_array_equal(found == 0.0, zero)
         # the normal matrix squares the condition, some 10², of twenty random columns
-        np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-10)  # pyright: ignore[reportCallIssue]
+        # pyrefly: ignore[no-matching-overload]
+        np.testing.assert_allclose(found, nnls(rows, wanted)[0], atol=1e-10)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,8 @@ def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law="compensated", gain=6.
         edge.from_node, edge.to_node, edge.valve = a, b, valve
         edge.sign, edge.blocked = sign, blocked
     valves = 1 + max(row[2] for row in rows)
-    return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))  # pyright: ignore[reportCallIssue]
+    # pyrefly: ignore[bad-argument-count]
+    return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))
 
 
 def able(c) -> set[str]:

@@ -227,7 +227,7 @@ def test_a_response_counts_over_an_octave_of_which_half_is_known(known, told):
 
     with answers(sweeps, _sweeping=lambda *_: (COMMAND, slice(2, 7)), _response=response,
                  _sweep_of=lambda *given: given[:2]):  # fmt: skip
-        found = sweeps.sweeps_of(Stub(), Stub(), "press", pairs, 0.8)  # pyright: ignore[reportArgumentType]
+        found = sweeps.sweeps_of(Stub(), Stub(), "press", pairs, 0.8)
     channels = ("press.v", "press.p_rod")
     assert found == [(COMMAND, channel) for channel in channels if told]
     both = [(0.0, 0.8), (1.0, 0.0)][: 2 if told else 1]

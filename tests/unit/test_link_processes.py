@@ -337,6 +337,7 @@ def test_a_bus_or_network_that_goes_down_loses_packets_and_ends_nothing(tmp_path
 
     link = UdpLink("127.0.0.1", 9)
     link.close()
+    # pyrefly: ignore[bad-assignment]
     link._socket = Down()
     link.send(np.zeros(len(HEADER)))
     assert link.receive(0.01) == []

@@ -223,7 +223,7 @@ def test_a_curve_bends_towards_low_drops_by_the_likeliest_of_four_powers(power):
     sharp = []
     with answers(shape, likeliest_smoothing=smoothed,
                  roughly_smoothed=lambda *given: sharp.append(1) or smoothed(*given)):  # fmt: skip
-        found = shape.bend(plain, None).along_s  # pyright: ignore[reportArgumentType]
+        found = shape.bend(plain, None).along_s
     assert len(sharp) == 2  # at each place between three spans
     assert found.stiffness == pytest.approx(middles**power)
 
@@ -687,7 +687,7 @@ def test_a_shift_is_taken_off_until_it_stays(shifts, asked, std):
 
     with answers(fit, sort_readings=result.readings, _find_leak=lambda _: None, _iterate=iterate,
                  _hysteresis_of=(0.0, 0.0), _shift_of=lambda _: next(found)):  # fmt: skip
-        last = fit.fit_readings("map", None, None)  # pyright: ignore[reportArgumentType]
+        last = fit.fit_readings("map", None, None)
     assert turns == asked and last.shift_std == std
     assert (last.hysteresis, last.readings.shift) == (None, asked[-1])
 
@@ -700,7 +700,7 @@ def test_a_hysteresis_is_taken_off_until_it_stays():
     with answers(fit, sort_readings=lambda *given: asked.append(given[3]) or r,
                  _find_leak=lambda _: None, _iterate=replace(result, readings=r),
                  _hysteresis_of=lambda _: next(more), _shift_of=(0.0, 0.0)):  # fmt: skip
-        last = fit.fit_readings("map", None, None)  # pyright: ignore[reportArgumentType]
+        last = fit.fit_readings("map", None, None)
     assert asked == pytest.approx([0.0, 0.3, 0.35])
     assert last.hysteresis == fit.Hysteresis(pytest.approx(0.3495), 0.01, True)
 
@@ -744,7 +744,7 @@ def test_a_map_is_doubted_beyond_its_limits(given, key):
     result.noise = Stub(std=lambda _, flow: noise * flow)
     result.readings = Stub(cell=np.zeros(150, int), commands=[1.0], show=Units())
     told = Stub(**{"outliers": (), "replicates": 9, "status": "", "trial_scatter": 0.0} | given)
-    notes: Any = list(results._warnings(result, told))  # pyright: ignore[reportArgumentType]
+    notes: Any = list(results._warnings(result, told))
     assert [note.key for note in notes] == ([f"flow_maps.{key}"] if key else [])
 
 
@@ -773,8 +773,8 @@ def test_penalties_are_the_likeliest_of_a_lattice_of_quarter_decades(least, coar
         1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.array([2e-6, 3e-6])
     )
     with answers(shape, regression=work):
-        found, value = shape.likeliest_smoothing(plain, None, coarse)  # pyright: ignore[reportArgumentType]
-        along = [shape.roughly_smoothed(plain, None, k) for k in (0, 1)]  # pyright: ignore[reportArgumentType]
+        found, value = shape.likeliest_smoothing(plain, None, coarse)
+        along = [shape.roughly_smoothed(plain, None, k) for k in (0, 1)]
     if coarse or max(abs(x + 6.0) for x in least) <= 5.0:
         assert np.log10(found.smoothing / work.unit) == pytest.approx(least)
         assert value == 0.0
@@ -1050,7 +1050,7 @@ def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut)
     readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
     plain = shape.Shape(1.0, np.arange(2.0, 9.0), shape.Axis(np.linspace(0, 1, 5), 3), np.ones(2))
     with answers(shape, window_of=window, profile_deadband=(grid, ((grid - at) / 0.5) ** 2)):
-        found, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
+        found, built = shape.find_deadband(readings, plain, None, 1.0)
     assert found.value == built.deadband == pytest.approx(at, abs=1e-4)
     assert found.at_bound == (at < 0.1) and built.above.tolist() == list(range(1, 11))
     half = 0.5 * math.sqrt(shape.SETTINGS.level_95 if shut else shape.SETTINGS.level_999)
@@ -1061,7 +1061,7 @@ def test_a_deadband_is_where_its_likelihood_is_largest_with_its_spread(at, shut)
     assert found.std == pytest.approx(math.sqrt(spread))
     narrow = shape.Window(2.0, 2.0, 1, (0.0, 4.0), False)
     with answers(shape, window_of=narrow, profile_deadband=None):
-        none, built = shape.find_deadband(readings, plain, None, 1.0)  # pyright: ignore[reportArgumentType]
+        none, built = shape.find_deadband(readings, plain, None, 1.0)
     assert none == shape.Deadband() and built.deadband == 0.0
 
 
@@ -1080,12 +1080,12 @@ def test_a_soft_start_lies_where_the_logs_deny_it_at_99_in_a_hundred(at, low):
     window = shape.Window(0.0, 3.0, 1, (0.0, 3.0), False)
     given = shape.Deadband(1.7, 0.1, (1.6, 1.8), False)
     with answers(shape, regression=likelihood):
-        found = shape.soften(None, bent, None, given, window)  # pyright: ignore[reportArgumentType]
-        lower = shape.soften(None, bent, None, replace(given, interval=(-1.0, 1.8)), window)  # pyright: ignore[reportArgumentType]
+        found = shape.soften(None, bent, None, given, window)
+        lower = shape.soften(None, bent, None, replace(given, interval=(-1.0, 1.8)), window)
     assert found == replace(given, interval=(pytest.approx(low, abs=1e-4), 1.8))
     assert lower.interval == (-1.0, 1.8)
     shut = replace(window, high=0.0)
-    assert shape.soften(None, bent, None, given, shut) is given  # pyright: ignore[reportArgumentType]
+    assert shape.soften(None, bent, None, given, shut) is given
 
 
 def test_a_maps_error_has_what_trials_commands_and_drops_are_off_by():
@@ -1135,7 +1135,7 @@ def test_a_map_is_drawn_with_each_number_at_either_end_of_its_interval():
 
     def drawn(*given) -> Any:
         with answers(results, replace=lambda _, kinks: Shape(kinks=kinks)):
-            return list(results._uncertain(fit(*given)))  # pyright: ignore[reportArgumentType]
+            return list(results._uncertain(fit(*given)))
 
     assert drawn(1.0, 0.0, 1.0, 0.0, []) == []
     (sides,) = drawn(1.0, 0.3, 1.0, 0.0, [])
@@ -1233,7 +1233,8 @@ def test_a_pump_that_follows_others_is_constant_at_a_point(margin, supply, follo
     row.margin, row.pressure = margin, 9e6
     model = replace(model, plant=model.plant._replace(supply=row))
     point, recipe = Stub(p_supply=supply), Stub(also_moving=())
-    given: Any = Study(model.rig, None, recipe, "press", 0.0, 0.0)  # pyright: ignore[reportArgumentType]
+    # pyrefly: ignore[bad-specialization]
+    given: Any = Study(model.rig, None, recipe, "press", 0.0, 0.0)
     with answers(study, operating_point=point, sensed_pressure=2e6):
         found, at = given.steady(model, None, 1, None, 0, Aim(0.0, 0.0))
     assert at is point and (found is not model) == follows
@@ -1255,7 +1256,7 @@ def test_the_largest_budget_that_keeps_the_demands_is_closed_in_on(limit, more):
     search = Stub(candidate=candidate, share=lambda reached: reached["closeness"])
     with answers(arc, Search=lambda _: search,
                  _result=lambda _, __, budget, tried: seen.update(tried) or budget):  # fmt: skip
-        found: Any = arc.tune_arc(None, lambda _, share: done.append(share))  # pyright: ignore[reportArgumentType]
+        found: Any = arc.tune_arc(None, lambda _, share: done.append(share))
     assert len(seen) == first.size + more * settings.refinements
     assert done == sorted(done) and 0.0 <= done[0] < done[-1] < 1.0
     if not more:
@@ -1549,7 +1550,7 @@ def test_a_late_valve_moves_a_state_by_the_pade_form_of_its_delay():
     assert (
         linear.with_delays(plain, Stub(layout=names, plant=Stub(valves=Stub(delay=np.zeros(2)))))
         is plain
-    )  # pyright: ignore
+    )
 
 
 def loop_of(a, b, c, off=None, delay=0.0) -> Loop:
@@ -1741,7 +1742,7 @@ def test_each_function_has_its_gain_or_all_have_one(one):
     motions = [Stub(point=Stub(function=f), counts=f != "c") for f in "aabc"]
     given: Any = Stub(motions=motions, recipe=Stub(one_gain=one))
     with answers(gains, choose_gain=lambda group, *_: float(len(group))):
-        found = gains._gains_by_function(given, *[None] * 4)  # pyright: ignore[reportArgumentType]
+        found = gains._gains_by_function(given, *[None] * 4)
     assert found == (dict.fromkeys("abc", 3.0) if one else {"a": 2.0, "b": 1.0, "c": 1.0})
     results: Any = [Stub(damping_ratio_open=a, damping_ratio_held=b) for a, b in ((1, 5), (3, 4))]
     assert gains._ranges(results) == {
@@ -1928,7 +1929,8 @@ def test_a_tuning_of_margins_tells_its_worst_point_and_what_it_misses():
     rig = Stub(name="slide", supply=Stub(facts=dict, low_rail=None))
     given: Any = Stub(rig=rig, cylinder="press")
     with answers(arc, named_gains={"gains": gain}):
-        told = arc._result(given, work, 0.4, {0.5: "second", 0.4: "first"})  # pyright: ignore[reportArgumentType]
+        # pyrefly: ignore[bad-assignment]
+        told = arc._result(given, work, 0.4, {0.5: "second", 0.4: "first"})
     assert (told.worst, told.met, told.candidates) == ("b", False, ("first", "second"))
     assert (told.gain_margin, told.phase_margin, told.delay_margin) == (2.0, 0.5, 2e-3)
     (note,) = told.warnings

@@ -161,7 +161,8 @@ def test_a_time_that_a_formula_converts_refuses_the_file(version, tmp_path):
     path, t = tmp_path / "a.mdf", np.linspace(0.0, 1.0, 40)
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(t, t, unit="bar", name="Supply")])
-        conversion = conversion_transfer(from_dict({"formula": "X1*2"}), int(version[0]))  # pyright: ignore[reportCallIssue]
+        # pyrefly: ignore[no-matching-overload]
+        conversion = conversion_transfer(from_dict({"formula": "X1*2"}), int(version[0]))
         file.groups[0].channels[0].conversion = conversion
         path = Path(file.save(path, overwrite=True))
     with pytest.raises(LogError, match="the time of .* is converted by a formula"):

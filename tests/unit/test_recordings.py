@@ -46,7 +46,7 @@ def test_a_foreign_model_is_asked_of_no_other_payload_or_channels(monkeypatch):
     foreign = Stub(model=Stub(rig=Stub(model="slide.fmu")), channels=("press.v",))
     silent = Stub(model=Stub(rig=Stub(model=None)), channels=())
     for case in (foreign, silent):
-        assert list(misread(case)) == []  # pyright: ignore[reportArgumentType]
+        assert list(misread(case)) == []
 
 
 @pytest.mark.parametrize(("name", "load"), [(CRANE, "200 kg"), ("slide_servo", "100 kg")])
@@ -104,7 +104,7 @@ def test_what_explains_most_of_a_residual_is_best(shares, best, monkeypatch):
     monkeypatch.setattr(recordings, "_left", lambda other: other)
     left, case = np.full(1000, 10.0), Stub(noise_squares=1000.0, independent=len)
     others = [(left * np.sqrt(1.0 - 0.99 * share), key, {}) for key, share in shares.items()]
-    found = recordings._best(case, left, others)  # pyright: ignore[reportArgumentType]
+    found = recordings._best(case, left, others)
     assert (found and found[1]) == best
     assert not found or found[0] == pytest.approx(max(shares.values()))
 

@@ -168,7 +168,7 @@ def test_a_missing_figure_and_a_title_for_none_are_named(runs, tmp_path):
         build([copy], None)
     with pytest.raises(InputError, match="flow_map_hekt_forward") as caught:
         build(runs, campaign(tmp_path, '"flow_map_hekt_forward" = "Fig. A.4"'))
-    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint  # pyright: ignore[reportOperatorIssue]
+    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint
 
 
 def test_optional_parts_may_be_missing(unpainted, tmp_path):

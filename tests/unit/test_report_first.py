@@ -99,7 +99,7 @@ def test_five_numbers_one_a_rank_the_machine_before_the_model(folders):
         Findings([Headline(0, "a", "1"), Headline(3, "machine", "2"), Headline(6, "x", "9")]),
         Findings([Headline(3, "model", "3", on_model=True)] + [Headline(6, "y", "8")] * 4),
     ]
-    stage, none = StageReport("", None, None), SectionContent("", "", [])  # pyright: ignore[reportArgumentType]
+    stage, none = StageReport("", None, None), SectionContent("", "", [])
     chapters = [
         Chapter(Saved(folder), stage, none, lambda key: [], item, f"run-{place}")
         for place, (folder, item) in enumerate(zip(folders, found, strict=True), 1)

@@ -200,7 +200,7 @@ def test_rank_regression_sees_kinds_and_through_a_bend():
     y = np.exp(3.0 * (kind == 0.0) + 0.2 * x)
     columns = np.stack([statistics.scores(kind, y), x], axis=1)
     (first, second), explained = statistics.rank_regression(("kind", "x"), columns, y)
-    assert first.rank > 0.7 and 0.2 < second.rank < first.rank and explained > 0.95  # pyright: ignore[reportOperatorIssue]
+    assert first.rank > 0.7 and 0.2 < second.rank < first.rank and explained > 0.95
     alone, share = statistics.rank_regression(("x",), x[:, None], y)
     assert share < 0.5 < explained and alone[0].rank > 0.0
     x = np.random.default_rng(0).random((400, 3))
@@ -358,6 +358,7 @@ def test_a_full_disk_says_how_many_samples_are_kept(tmp_path):
     journal = Journal(tmp_path / "s.jsonl", "k", 3, resume=False)
     journal.add([Sample(0, 0, "done", "", (1.0,))])
     journal.close()
+    # pyrefly: ignore[bad-assignment]
     journal._file = full.open("wb", buffering=0)
     with refused("sampling.disk_full") as caught:
         journal.add([Sample(1, 0, "done", "", (1.0,))])

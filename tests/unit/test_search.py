@@ -247,7 +247,9 @@ def test_sensors_of_each_log_have_the_errors_of_the_joint_problem():
     asked = problem()
     term = Term("press.x", "offset", 2e-3, 1.0, 1e-3, True)
     for log in asked.logs:
-        log.start.terms = (term,)  # pyright: ignore[reportAttributeAccessIssue]
+        # pyrefly: ignore[read-only]
+        log.start.terms = (term,)
+        # pyrefly: ignore[read-only]
         log.start.uncertain[0].name = term.name
     state, _ = settle(asked, initial(asked))
     truth = joint(state)
@@ -294,19 +296,19 @@ def test_a_denied_number_is_told_with_its_interval():
     ):
         there = 270.0 if key == "number_fixed" else 0.27
         std = 20.0 if key == "number_fixed" else 0.02
-        given = Lean(name, 0.25, there, std, 0.3, moved, "free it")  # pyright: ignore[reportArgumentType]
+        given = Lean(name, 0.25, there, std, 0.3, moved, "free it")
         text = _sentence(fit, row, given)
         assert text.key == f"identification.{key}" and text.fields["halves"] == 2.5
         width = str(text.fields["half"]).partition(" ")[0]
         assert float(width) == pytest.approx(half, rel=0.02 if key == "number_fixed" else 1e-4)
         shown = text.fields["value"]
         assert shown.startswith(value) if isinstance(value, str) else shown == pytest.approx(value)
-    zero: Any = Lean("press.x.offset", 0.0, 0.01, 1e-4, 0.3, moved, "free it")  # pyright: ignore[reportArgumentType]
+    zero: Any = Lean("press.x.offset", 0.0, 0.01, 1e-4, 0.3, moved, "free it")
     fields = _sentence(fit, row, zero).fields
     assert (fields["name"], fields["fixed"], fields["value"]) == ("press.x.offset", "0 mm", "10 mm")
     pair: Any = Stub(**vars(row) | {"parameters": ("a.mass", "carriage.mass", "b.mass")})
     pair.numbers = [Stub(name="a", here=0.25), Stub(name="b", here=1.0), Stub(name="c", here=0.25)]
-    heavy: Any = Lean("carriage.mass", 0.25, 270.0, 20.0, 0.3, moved, "free it")  # pyright: ignore[reportArgumentType]
+    heavy: Any = Lean("carriage.mass", 0.25, 270.0, 20.0, 0.3, moved, "free it")
     assert _sentence(fit, pair, heavy).fields["name"] == "a, c"  # what is fixed at the same value
 
 
@@ -323,7 +325,7 @@ def test_a_denied_number_is_told_with_its_interval():
 def test_a_bound_is_told_with_its_side(name, value, key, side):
     ends = {"bulk_modulus": (1e8, 1e9), "carriage.damping": (98.0, 101.0)}.get(name, (0.0, 5.0))
     item = FittedParameter(name, "", value, None, None, *ends, value, "at_bound", 9)
-    (note,) = _statuses([item], Stub(rig=shipped("slide_servo"), logs=()))  # pyright: ignore[reportArgumentType]
+    (note,) = _statuses([item], Stub(rig=shipped("slide_servo"), logs=()))
     assert getattr(note, "key", "") == f"identification.{key}"
     assert getattr(note, "fields", {})["side"] == side
 

@@ -610,7 +610,7 @@ def law_of(top=1.2, twice=2.0):
     point = Stub(function="extend_resistive", volume_head=1e-3)
     with answers(tune_search, swing=lambda motion: 10.0, _stiffness=lambda motion: (1e8, 1e8)):
         recipe = TuneRecipe(stage="tune", rig="x", damping_ratio="0.5")
-        search = tune_search.LawSearch([Stub(point=point, loop=loop)], recipe, {})  # pyright: ignore[reportArgumentType]
+        search = tune_search.LawSearch([Stub(point=point, loop=loop)], recipe, {})
     try:
         with answers(tune_search, _keeps_demands=True):
             law = search.law()

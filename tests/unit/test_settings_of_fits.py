@@ -374,7 +374,7 @@ def follows_after(late):
     differences are alike by −3/4 to a neighbour as well."""
     x = np.random.default_rng(1).standard_normal(999)
     y = {"press.x": x, "press.servo.command": np.roll(x, late)}
-    return comparison._follows(Stub(record=Record(np.arange(999) * 1e-3, y)), "press")  # pyright: ignore[reportArgumentType]
+    return comparison._follows(Stub(record=Record(np.arange(999) * 1e-3, y)), "press")
 
 
 def box_found(order=2, tick=1e-2):

@@ -243,6 +243,7 @@ def follows_on(gain):
         def __init__(self):
             self.floor = np.ones(1)
 
+        # pyrefly: ignore[bad-override]
         def residual(self, shifts):
             return np.ones((2, 1))
 
@@ -462,7 +463,7 @@ def bridged():
     t = np.concatenate([np.arange(50.0), 55.0 + np.arange(50.0), 111.0 + np.arange(50.0)])
     group: Any = Stub(t=t, period=1.0, resolution=0.0, title="a")
     (note,) = rates.gaps(group, None)
-    return note.fields["longest"]  # pyright: ignore[reportAttributeAccessIssue]
+    return note.fields["longest"]
 
 
 # --- readings
@@ -531,7 +532,7 @@ def allowed(name, size=10**9):
     file: Any = Stub(absolute=lambda: Path("x"), is_dir=lambda: False)
     file.lstat, reader = lambda: Stub(st_size=size), Stub(module="mdf", name="", package="")
     with answers(readers, available=1e15):
-        call = first_call(readers, "confined", lambda: readers._confined(reader, file, ANY))  # pyright: ignore[reportArgumentType]
+        call = first_call(readers, "confined", lambda: readers._confined(reader, file, ANY))
     return getattr(call[1], name)
 
 
@@ -540,7 +541,7 @@ def time_of(values, unit=""):
     column: Any = Stub(values=np.asarray(values), name="time")
     table: Any = Stub(columns=[column], t=None)
     guess = guesses._time(column, unit, {"time"}, table)
-    return ("", "") if guess is None else (guess.unit, guess.remark.key.partition(".")[2])  # pyright: ignore[reportAttributeAccessIssue]
+    return ("", "") if guess is None else (guess.unit, guess.remark.key.partition(".")[2])
 
 
 def begins_again(count):

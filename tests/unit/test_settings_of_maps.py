@@ -40,7 +40,7 @@ def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0, later=
         return fit.Fit(
             *(readings, shape, solution, noise, fit.Deadband(interval=interval), Stub()),
             *(np.ones(4, bool), np.zeros(4), ()),
-        )  # pyright: ignore[reportArgumentType]
+        )
 
     leak = None if not apart else fit.Leak(0.0, 0.0, 0.0, 1)
     with answers(fit, sort_readings=lambda *_: readings, without_zeros=lambda r: r,

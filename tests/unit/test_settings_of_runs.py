@@ -366,7 +366,7 @@ def tried(edge):
     design: Any = Stub(settings=lambda _: {}, quantile=lambda _, share: {"a": share})
     design.drawn, recipe, inputs = [Stub(key="a")], Stub(recipe=("b",)), Stub(notes=notes)
     with answers(study, Sampler=lambda *_: Stub(refuse=refuse), _single_keys=()):
-        study._try_keys(recipe, ANY, design, inputs)  # pyright: ignore[reportArgumentType]
+        study._try_keys(recipe, ANY, design, inputs)
     return len(noted)
 
 
@@ -376,7 +376,7 @@ def tried(edge):
 def catches_up():
     """Ticks of 10 ms that end late after one of a second."""
     clock: Any = Clock()
-    machine = paced.PacedMachine(Stub(rate=100.0, tick=lambda _: clock.monotonic()))  # pyright: ignore[reportArgumentType]
+    machine = paced.PacedMachine(Stub(rate=100.0, tick=lambda _: clock.monotonic()))
     with answers(paced, time=clock):
         for clock.tick in (5e-7, 0.5, *[5e-4] * 99):
             machine.tick(np.zeros(1))

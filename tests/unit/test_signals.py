@@ -54,7 +54,7 @@ def test_standard_errors_of_ringing_cover():
     t, wave = oscillation(omega, zeta, 1.0)
     hits = 0
     for seed in range(40):
-        found = series.ringing(t, wave + 0.1 * coloured(np.random.default_rng(seed), t.size, 0.8))  # pyright: ignore[reportOperatorIssue]
+        found = series.ringing(t, wave + 0.1 * coloured(np.random.default_rng(seed), t.size, 0.8))
         hits += abs(found.natural_frequency - omega) < 1.96 * found.natural_frequency_std
     # of 40 intervals that cover with 95 %, 33 or fewer do so once in 2000
     assert hits >= 34

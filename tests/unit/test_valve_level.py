@@ -87,7 +87,8 @@ def test_the_commands_give_the_flows(name):
     kept = 0
     for function, v, pressures in states(c, 2000, 1):
         asked = np.array([c.area_head, c.area_rod]) * v
-        given = Given(c, function, *asked, pressures)  # pyright: ignore[reportCallIssue]
+        # pyrefly: ignore[bad-argument-count]
+        given = Given(c, function, *asked, pressures)
         own = set(c.edges.valve[c.first : c.first + c.count].tolist())
         used = set()
         for path in np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1)):
@@ -145,7 +146,8 @@ def test_a_spool_follows_the_edge_that_meters():
         (5, -1, fn.HEAD_TANK),
     ):
         asked = sign * 0.02 * np.array([c.area_head, c.area_rod])
-        given = Given(c, function, *asked, pressures)  # pyright: ignore[reportCallIssue]
+        # pyrefly: ignore[bad-argument-count]
+        given = Given(c, function, *asked, pressures)
         assert given.met == 0 and given.command[0] * sign > 1.5
         other = next(p for p in np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1)) if p != path)
         metered, follower = (passed(c, c.paths[p], given.command, pressures) for p in (path, other))
@@ -224,7 +226,8 @@ def test_a_withheld_channel_poisons_the_commands(name):
             valve = c.edges[c.paths[path]].valve
             for gone in used[path]:
                 with_gap = [math.nan if i == gone else p for i, p in enumerate(pressures)]
-                assert math.isnan(Given(c, function, *asked, with_gap).command[valve])  # pyright: ignore[reportCallIssue]
+                # pyrefly: ignore[bad-argument-count]
+                assert math.isnan(Given(c, function, *asked, with_gap).command[valve])
             assert math.isnan(Given(c, function, math.nan, math.nan, pressures).command[valve])
 
 

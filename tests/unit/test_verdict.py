@@ -313,7 +313,7 @@ def test_each_threshold_is_held_against_what_was_reached(off):
     """One demand at a time, missed and kept by a little; words as people read them."""
     nothing: dict[str, Any] = {"fit_percent": {}, "natural_frequency_error": False}
     nothing |= {f"response_{word}_error": False for word in ("gain", "phase", "delay")}
-    sweep = Sweep("u", "press.p_head", (1.0, 9.0), 20, 8.0, (1.0, 1.0), (0.0, 0.0), None)  # pyright: ignore[reportArgumentType]
+    sweep = Sweep("u", "press.p_head", (1.0, 9.0), 20, 8.0, (1.0, 1.0), (0.0, 0.0), None)
     answered = replace(sweep, gain_error=0.2, phase_error=math.radians(20.0), delay_error=2e-3)
     channel = result_of(
         "press.x",

@@ -234,6 +234,7 @@ def test_a_tunings_numbers_have_their_unit_and_no_line_of_the_rig(shop):
     (shop / "tune.toml").write_text('stage = "tune"\nrig = "rig.toml"\n')
     gains = {"extend_resistive": 2.8e-11, "retract_resistive": 2.8e-11}
     tuning = {"damping_ratio": 0.19, "feedback_gain": gains}
+    # pyrefly: ignore[bad-assignment]
     tuning["alternatives"] = [{"feedback_gain": value} for value in (2.7e-11, 2.6e-11)]
     folder, inputs = shop / "reports" / "tune_1", [("rig", shop / "rig.toml")]
     write_run(folder, "tune", shop / "tune.toml", inputs, {"tuning.json": tuning}, what="tuning")
@@ -424,7 +425,7 @@ def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, nam
 
 
 def test_a_run_of_an_older_method_is_marked(shop, monkeypatch):
-    newer = METHODS | {"output_error": METHODS["output_error"] + 1}  # pyright: ignore[reportOperatorIssue]
+    newer = METHODS | {"output_error": METHODS["output_error"] + 1}
     monkeypatch.setattr(versions, "METHODS", newer)
     changes = origin("bulk_modulus", shop / "reports" / "fit_1").changes
     assert len(changes) == 1 and "output_error" in changes[0]

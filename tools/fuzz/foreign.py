@@ -64,7 +64,7 @@ def write_tdms(path: Path) -> None:
 
     def said(unit: str, tick: float) -> dict[str, object]:
         about = {"wf_increment": tick, "wf_start_time": start, "wf_start_offset": 0.0}
-        return about | {"unit_string": unit}  # pyright: ignore[reportReturnType]
+        return {**about, "unit_string": unit}
 
     with TdmsWriter(path) as file:
         half = T.size // 2
@@ -143,7 +143,7 @@ def write_excel(path: Path) -> None:
 def write_npz(path: Path) -> None:
     fast = {"time": T, "PT-101 cyl A [bar]": HEAD, "AO0 valve [mA]": CURRENT}
     slow = {"slow/time": SLOW, "slow/Supply [bar]": SUPPLY}
-    np.savez_compressed(path, **fast, **slow)  # pyright: ignore[reportArgumentType]
+    np.savez_compressed(path, **fast, **slow)
 
 
 def write_bag(path: Path, plugin: str = "MCAP") -> None:

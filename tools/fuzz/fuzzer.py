@@ -122,7 +122,8 @@ def fuzz(count: int, seed: int, workers: int) -> dict[str, Tally]:
     with ProcessPoolExecutor(workers) as pool:
         work = [(kind, pool.submit(several, kind, part, seed)) for kind, part in pieces(count)]
         for kind, future in work:
-            whole[kind] = Tally(*(a + b for a, b in zip(whole[kind], future.result(), strict=True)))  # pyright: ignore[reportOperatorIssue, reportArgumentType]
+            # pyrefly: ignore[bad-argument-type, unsupported-operation]
+            whole[kind] = Tally(*(a + b for a, b in zip(whole[kind], future.result(), strict=True)))
     return whole
 
 

@@ -192,7 +192,8 @@ def template() -> bytes:
     time = np.arange(ROWS) / 100.0
     formula = {"formula": "X1".ljust(WIDTH, "_"), "__class__": "x"}
     with tempfile.TemporaryDirectory() as folder, MDF(version="4.10") as file:
-        signal = Signal(np.arange(ROWS) * 1.0, time, unit="N", name="p", conversion=formula)  # pyright: ignore[reportArgumentType]
+        # pyrefly: ignore[bad-argument-type]
+        signal = Signal(np.arange(ROWS) * 1.0, time, unit="N", name="p", conversion=formula)
         file.append([signal])
         file.save(Path(folder) / "a.mf4", overwrite=True)
         return (Path(folder) / "a.mf4").read_bytes()

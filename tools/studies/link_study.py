@@ -13,7 +13,7 @@ from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -101,7 +101,7 @@ def drawn(seed: int) -> Fault:
 
 def trial(on: str = "bench", **keys) -> Prepared:
     """A short trial of the slide at 250 Hz."""
-    given = {"rate": "250 Hz", "motion": MOTION, "controller": {"kind": "position"}}
+    given: dict[str, Any] = {"rate": "250 Hz", "motion": MOTION, "controller": {"kind": "position"}}
     given |= {"limits": {"stroke_margin": f"{MARGIN!r} m"}, **keys}
     path = shipped("recipes") / "trials" / "position.toml"
     return prepare(TrialRecipe(stage="trial", rig="x", on=on, path=path, **given), RIG)

@@ -450,6 +450,7 @@ class TrialRecipe(AnyTrial):
     may take open-loop commands."""
 
     stage: Literal["trial"]
+    # pyrefly: ignore[bad-override]
     on: Annotated[str, Field(pattern="^(model|bench|[a-z]+://.+)$")] = Field(
         default="model",
         description="`model`, `bench`, or the address of a machine: `udp://host:port`",

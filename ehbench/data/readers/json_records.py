@@ -28,6 +28,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         frame = pd.json_normalize(content)
     if frame.empty:
         raise LogError(message("data.no_records"))
+    # pyrefly: ignore[bad-argument-type]
     rows = frame.astype(object).where(frame.notna(), None).itertuples(index=False)
     lines = [text_line(map(str, frame.columns)), *map(text_line, rows)]
     plain = Dialect("\t", ".", dialect.skip, dialect.unit_row, day_first=dialect.day_first)

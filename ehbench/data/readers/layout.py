@@ -243,9 +243,10 @@ def _fact(
             texts = (text.strip(f' "{separator}') for text in values)
             pairs = {measured(text, decimal) or (text, unit_in(title)) for text in texts if text}
             known = {(number(text, decimal), of or unit) for text, of in pairs}
-            if len(known) == 1 and (value := known.pop())[0] is not None:
+            value, of = known.pop() if len(known) == 1 else (None, unit)
+            if value is not None:
                 try:
-                    return value[0] * factor(named_unit(value[1]) or value[1], unit)
+                    return value * factor(named_unit(of) or of, unit)
                 except UnitError:
                     return None
     return None

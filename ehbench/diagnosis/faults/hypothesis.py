@@ -288,7 +288,7 @@ class Hypothesis:
 
     def recipe_lines(self, rig: Rig) -> tuple[str, ...]:
         """What it adds to the recipe."""
-        lines = []
+        lines: list[str] = []
         if self.parameters:
             quoted = ", ".join(f'"{name}"' for name in self.parameters)
             lines.append(message("faults.parameters_line", quoted=quoted))

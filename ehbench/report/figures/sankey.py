@@ -241,7 +241,8 @@ def sankey(path: Path, ledger: Ledger) -> None:
                 ax.text(_END + 2.0 * _BAR, y_end, flow.label, **look)
                 words = energy_text(flow.energy, flow.half, unit, whole)
                 ax.text(1.98, y_end, words, ha="right", **look)
-        look = {"va": "bottom", "ha": "center", "fontsize": 8.5, "weight": "bold", "zorder": 5}
+        look: dict[str, Any] = {"va": "bottom", "ha": "center", "fontsize": 8.5, "zorder": 5}
+        look["weight"] = "bold"
         look["bbox"] = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6}
         for name, (x, top) in tops.items():
             draw_bar(x, layout.middle[name], layout.size[name], _COLOURS.get(name, INK))

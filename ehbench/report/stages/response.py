@@ -3,6 +3,7 @@
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         ["coherence of noise alone", page.text("noise", table=table)],
     ]
     # each with half its 95 % interval
-    forms = [
+    forms: list[dict[str, Any]] = [
         {
             "form": form,
             "poles": ", ".join(

@@ -75,7 +75,8 @@ def section(run: Saved, pictures: content.Pictures) -> content.SectionContent:
     status = "accepted" if table["accepted"] else "rejected"
     if table["accepted"] and table.get("reservations"):
         status = "accepted_with_reservation"
-    diagnosis, diagnosed = table.get("structure") or {"findings": [], "follows": []}, []
+    diagnosis = table.get("structure") or {"findings": [], "follows": []}
+    diagnosed: list[Block] = []
     if faults := diagnosis["findings"]:
         diagnosed = [Text(page.text("faults")), page.table("fault_table", faults)]
     if follows := diagnosis["follows"]:
