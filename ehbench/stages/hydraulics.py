@@ -112,7 +112,7 @@ class HydraulicsStage(base.Stage[HydraulicsRecipe, PreparedHydraulics]):
         advice = comparison_of(prepared.fit).steps
         additional["advice"] = [{"key": step.key, "fields": step.fields} for step in advice]
         rundir.write_json(folder / "parameters.json", fit.as_json() | additional)
-        base.write_series(folder / "series", fit.series())
+        base.write_series(folder / "series", fit.recordings)
         fitted_on = [rundir.sha256(path) for _, path in logs.inputs]
         return prepared.done(fit.warnings, method=recipe.method, fitted_on=fitted_on)
 

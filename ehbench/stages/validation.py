@@ -117,7 +117,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         others = [item.as_json() for item in recipe.reference]
         additional = {"references": others} if others else {}
         rundir.write_json(folder / "validation.json", verdict.as_json() | additional)
-        write_series(folder / "series", verdict.series())
+        write_series(folder / "series", [(log.name, log.series) for log in verdict.logs])
         work = prepared.done(
             [*prepared.sensors, *verdict.warnings],
             accepted=verdict.accepted,
