@@ -7,8 +7,7 @@ observes."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -37,7 +36,7 @@ from ehbench.parts.sample import sample_size
 from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
-from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message
+from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message, placed
 from ehbench.vocabulary.fields import read_value, read_vector
 
 if TYPE_CHECKING:
@@ -153,18 +152,6 @@ def valve_fault(design: Design, t: np.ndarray, code: np.ndarray) -> dict[str, An
     return {"valve": name, "stays": "shut" if number > 0 else "open", "t": float(t[first])}
 
 
-@contextmanager
-def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
-    """Bad input found inside is said to stand at a key of the recipe, unless it says itself where
-    it stands."""
-    try:
-        yield
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(error.message, **recipe.at(*keys), hint=error.hint) from None
-
-
 def controller_of(recipe: TrialRecipe) -> ChosenController:
     """The ``[controller]`` of a closed-loop trial's recipe."""
     assert recipe.controller is not None  # nothing here is asked of open loop
@@ -199,12 +186,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
                 message("trial.unused_valve", valve=valve, known=", ".join(valves)),
                 **recipe.at(*controller.where, "unused"),
             )
-    with located(recipe, *controller.where, "unused"):
+    with placed(recipe.at(*controller.where, "unused")):
         unused = [valves.index(valve) for valve in controller.unused]
         circuit = circuit_of(model, index, maps, unused)
-    with located(recipe, "posture"):
+    with placed(recipe.at("posture")):
         model.posture(recipe.posture)
-    with located(recipe, *motion_at, "waypoints"):
+    with placed(recipe.at(*motion_at, "waypoints")):
         q = model.posture(posture_of(recipe, names[index]))
     return Design(rig, maps, model, names[index], index, q, circuit)
 
@@ -259,7 +246,7 @@ def compiled(
     point = design_point_of(design.model, design.circuit, design.q, 1.0 / rate, unused)
     gains, given_rules, given_shaping = _taken(recipe, law, tuning, design.cylinder)
     low = gains.get("low_pressure", point.low_pressure)
-    with located(recipe, *chosen.where, "rules"):
+    with placed(recipe.at(*chosen.where, "rules")):
         rules = pack_rules(
             design.circuit.area_rod, point.supply_pressure, low_pressure=low, **given_rules
         )
@@ -268,10 +255,10 @@ def compiled(
         if moves and not design.circuit.able[way == DIRECTION].any():
             text = message("trial.no_function", cylinder=design.cylinder, direction=word)
             raise InputError(text, **recipe.at("motion"))
-    with located(recipe, *chosen.where, "shaping"):
+    with placed(recipe.at(*chosen.where, "shaping")):
         shaping = pack_shaping(**given_shaping)
     _refuse_without(recipe, law, gains)
-    with located(recipe, *chosen.where, "gains"):
+    with placed(recipe.at(*chosen.where, "gains")):
         packed = law.pack(point, gains, rules, shaping)
     channels, monitor = sample_size(len(design.model.layout.cylinders)), None
     if chosen.monitor:
