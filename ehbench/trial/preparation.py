@@ -38,7 +38,7 @@ from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.motion import References, lasting, references, rest
 from ehbench.trial.path import route
 from ehbench.trial.user_code import UserCode
-from ehbench.vocabulary import VOCABULARY, InputError, Message, from_si, message, placed
+from ehbench.vocabulary import InputError, Message, message, placed
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -293,15 +293,14 @@ class Prepared:
             word = QUANTITY_OF[limit]
         elif channel:
             word = channel.rsplit(".", 1)[-1]
-        unit = self.rig.unit_of(word)
-        shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
-        fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit, "t": t}
+        shown, edge = (self.rig.shown(word, number) for number in (value, bound))
+        fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit, "t": t}
         if limit == "monitor":
             sentence = message("trial.stop_sensor" if entry >= 0 else "trial.stop_valve", **fields)
         elif limit in OWN_SENTENCE:
-            sentence = message(f"trial.stop_{limit}", bound=edge, **fields)
+            sentence = message(f"trial.stop_{limit}", **fields)
         else:
-            sentence = message("trial.limit_passed", bound=edge, **fields)
+            sentence = message("trial.limit_passed", **fields)
         return Stop(limit, channel, value, bound, t, sentence)
 
     def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool | None) -> Aftermath:
@@ -325,12 +324,9 @@ class Prepared:
             for limit, value, bound, is_least in ends:
                 if value < bound if is_least else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
-                    unit = self.rig.unit_of(word)
-                    shown, edge = (
-                        from_si(float(v), unit, VOCABULARY[word]) for v in (value, bound)
-                    )
-                    fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit}
-                    sentences += message("trial.beyond_limit", bound=edge, **fields)
+                    shown, edge = (self.rig.shown(word, float(x)) for x in (value, bound))
+                    fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit}
+                    sentences += message("trial.beyond_limit", **fields)
         seconds = (span.stop - span.start - 1) / machine.rate
         stood = {True: "it stood still", False: "it still moved", None: "no sensor shows motion"}
         sentence = message(
