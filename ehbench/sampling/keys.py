@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.config.recipe import validated
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.sampling.design import Factor
-from ehbench.vocabulary import InputError, UnitError, message, placed
+from ehbench.vocabulary import InputError, UnitError, message, placed, quantity
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.units import split_number
 
@@ -76,7 +76,7 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         if not names:
             deeper[path] = raw
         for name in names:
-            old, row, given = known[name], parameter_row(name), raw
+            old, row, given = known[name], quantity(name), raw
             if isinstance(raw, Factor):
                 given = float(raw) * float(old)
                 given = given if row.unit == "dimensionless" else f"{given!r} {row.unit}"
