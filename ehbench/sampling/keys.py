@@ -17,6 +17,7 @@ from ehbench.config.recipe import validated
 from ehbench.config.rig import Rig
 from ehbench.sampling.design import Factor
 from ehbench.vocabulary import InputError, UnitError, message, placed, quantity
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.units import split_number
 
@@ -120,8 +121,7 @@ def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: st
 def nowhere(key: str, known: Iterable[str]) -> InputError:
     """There is no such key, ``<file>.<path>``; with the nearest path of those known."""
     file, _, path = key.partition(".")
-    near = get_close_matches(path, known, 1, 0.4)
-    hint = f"nearest is '{file}.{near[0]}'" if near else None
+    hint = nearest(path, known, f"nearest is '{file}.{{}}'", 0.4)
     return InputError(message("sampling.nowhere", key=key), hint=hint)
 
 

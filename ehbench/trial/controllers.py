@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +36,7 @@ from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message, placed
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import read_value, read_vector
 
 if TYPE_CHECKING:
@@ -452,19 +452,9 @@ def quantities(
     for name, raw in given.items():
         where = recipe.at(*controller.where, table, name)
         if name not in rows:
-            near = get_close_matches(name, rows, 1)
-            raise InputError(
-                message(
-                    "trial.unknown_key",
-                    controller=controller.label,
-                    table=table,
-                    name=name,
-                    suggestion=f"did you mean '{near[0]}'?"
-                    if near
-                    else "it has " + ", ".join(rows),
-                ),
-                **where,
-            )
+            suggestion = nearest(name, rows) or f"it has {', '.join(rows)}"
+            fields = {"controller": controller.label, "table": table, "name": name}
+            raise InputError(message("trial.unknown_key", **fields, suggestion=suggestion), **where)
         try:
             values[name] = _number(name, raw, rows[name], name in bounds)
         except InputError as error:
