@@ -328,19 +328,12 @@ def _rig_line(source: Source | None, result: NamedResult) -> TextLine | None:
     places = [part for prefix, part, _ in rig.parts() if prefix == owner + dot]
     ends = [(key,), ("rated", "flow")] if key.endswith("_gain") else [(key,)]
     for parts in ((*at, *end) for at, end in product(places, ends)):
-        value, line = _inside(table, parts), line_of(text, parts)
-        if value is not None and line is not None:
-            origin = value.get("source", "") if isinstance(value, Mapping) else ""
-            name = place.name if SHIPPED in place.parents else source.name
-            return TextLine(name, line, text.splitlines()[line - 1].strip(), str(origin))
+        with suppress(LookupError, TypeError):  # it is not written there
+            value: Any = table
+            for part in parts:
+                value = value[part]
+            if (line := line_of(text, parts)) is not None:
+                origin = value.get("source", "") if isinstance(value, Mapping) else ""
+                name = place.name if SHIPPED in place.parents else source.name
+                return TextLine(name, line, text.splitlines()[line - 1].strip(), str(origin))
     return None
-
-
-def _inside(table: Any, location: Sequence[str | int]) -> Any:
-    """What stands at a location of a file; None where nothing does."""
-    for part in location:
-        try:
-            table = table[part]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return table

@@ -167,17 +167,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
     controller, motion = controller_of(recipe), recipe.motion
     motion_at = motion.where if motion is not None else ()
     names = [c.name for c in rig.cylinder]
-    known = ", ".join(names)
     name = motion.cylinder if motion is not None else None
     if name is None and len(names) > 1:
         where = recipe.at(*(motion_at or ("controller",)))
-        raise InputError(message("trial.several_cylinders", known=known), **where)
-    if name is not None and name not in names:
-        raise InputError(
-            message("trial.unknown_cylinder", rig=rig.name, cylinder=name, known=known),
-            **recipe.at(*motion_at, "cylinder"),
-        )
-    index = names.index(name) if name is not None else 0
+        raise InputError(message("trial.several_cylinders", known=", ".join(names)), **where)
+    with placed(recipe.at(*motion_at, "cylinder")):
+        index = rig.cylinder.index(rig.cylinder_named(name)) if name is not None else 0
     model = Model.of(rig, maps) if model is None else model
     valves = model.layout.valves
     for valve in controller.unused:
