@@ -18,7 +18,6 @@ from ehbench.stages import Stage, stage_of
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
-from ehbench.stages.validation import in_rig_unit
 from ehbench.vocabulary import from_si, message, plural, quantity
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
 from ehbench.vocabulary.messages import ranked
@@ -138,8 +137,8 @@ def _rig(path: Path) -> Inspection:
     if fixed := len([*rig.fixed_edges()]):
         counts["fixed edge"] = fixed
     parts = ", ".join(plural(count, word) for word, count in counts.items())
-    pressure = in_rig_unit(rig, "pressure", float(rig.supply.pressure))
-    maximum = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
+    pressure = rig.shown("pressure", float(rig.supply.pressure))
+    maximum = rig.shown("flow_limit", float(rig.supply.flow_limit))
     kind = "" if rig.supply.constant else f", {rig.supply.kind}"
     lines = [
         f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else ""),
@@ -188,7 +187,7 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
         word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
         first, last = (rig.text(word, value, decimals) for value in model.stroke_range(index))
         places = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
-        head, rod = (in_rig_unit(rig, "p_head", state[place]) for place in places)
+        head, rod = (rig.shown("p_head", state[place]) for place in places)
         fields = {"load": load or "no payload", "cylinder": cylinder.name}
         ends = {"first": first.partition(" ")[0], "last": last}
         text = str(message("app.standstill", **fields, **ends, head=head, rod=rod))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
-from ehbench.data.logs.checks import LABEL, TIME_NAMES, check_known
+from ehbench.data.logs.checks import TIME_NAMES, check_known
 from ehbench.data.rates import (
     SETTINGS,
     Group,
@@ -26,6 +26,7 @@ from ehbench.data.rates import (
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record, resampled
+from ehbench.data.text import head_of
 from ehbench.signals.series import lowpass, stretches_of
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
 from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, plural, quantity
@@ -106,8 +107,8 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
         LogError: there is none; says how to make a map."""
     results = {}
     for name, (i, j) in source.names().items():
-        label = LABEL.match(name)
-        channel, unit = label.groups() if label else (name, source.tables[i].columns[j].known_unit)
+        channel, unit = head_of(name)
+        unit = unit or source.tables[i].columns[j].known_unit
         channel = "t" if channel.lower() in TIME_NAMES else channel.replace("/", ".").strip(".")
         if channel.rpartition(".")[2] in VOCABULARY and unit:
             results[name] = MappedColumn(channel=channel, unit=unit)

@@ -15,9 +15,9 @@ import numpy as np
 
 from ehbench.config.recipe.columns import READING_WORDS, ColumnMap, MappedColumn
 from ehbench.data.channels import dialect_of, overruled, si_of
-from ehbench.data.logs.checks import TIME_NAMES
+from ehbench.data.logs.checks import TIME_NAMES, check_unit
 from ehbench.data.readers import Source, SourceTable, open_source
-from ehbench.data.text import is_hole, text_table
+from ehbench.data.text import head_of, is_hole, text_table
 from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, plural, setting, to_si
 from ehbench.vocabulary.errors import InputError, LogError, UnitError, placed
 from ehbench.vocabulary.units import plausible
@@ -26,7 +26,6 @@ _PRESSURES = ("upstream_pressure", "downstream_pressure")
 _NUMBERS = ("command", "pressure_drop", *_PRESSURES, "flow", "temperature")
 _METHODS = ("flowmeter", "cylinder")
 _EXAMPLE = "valve,direction,command [V],pressure_drop [kPa],flow [gpm],trial,method"
-_HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
 
 
 @dataclass(frozen=True)
@@ -244,7 +243,7 @@ def is_flowmeter(path: Path) -> bool:
         header = text_table(path, _EXAMPLE).header
     except InputError:
         return False
-    names = {cell.split("[")[0].strip().lower() for cell in header}
+    names = {head_of(cell)[0].lower() for cell in header}
     return bool(names & {"valve", "flow"}) and not names & {*TIME_NAMES}
 
 
@@ -260,8 +259,7 @@ def _named(path: Path) -> _Sheet:
     places: dict[str, int] = {}
     units: dict[str, str] = {}
     for place, cell in enumerate(table.header):
-        match = _HEADER.fullmatch(cell)
-        text, unit = (match[1], match[2] or "") if match else (cell, "")
+        text, unit = head_of(cell)
         name = text.lower().replace(" ", "_")
         if name not in (*_NUMBERS, *READING_WORDS):
             known = (*_NUMBERS, *READING_WORDS)
@@ -274,14 +272,7 @@ def _named(path: Path) -> _Sheet:
             raise InputError(message("data.column_twice", name=name), **where)
         places[name] = place
         if name in _NUMBERS:
-            if not unit:
-                fields = {"name": name, "display": VOCABULARY[name].display}
-                raise UnitError(message("data.column_without_unit", **fields), **where)
-            try:
-                to_si(1.0, unit, VOCABULARY[name])
-            except UnitError as error:
-                text = message("data.column_error", name=name, error=error.message)
-                raise UnitError(text, hint=error.hint, **where) from None
+            check_unit(cell, name, unit, **where)
             units[name] = unit
         elif unit not in ("", "-", "1"):
             raise UnitError(message("data.unit_of_words", name=name, unit=unit), **where)

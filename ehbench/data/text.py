@@ -34,6 +34,7 @@ _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.
 # a mark before three digits: the decimal sign, or what groups them
 _TWO_READINGS = re.compile(r"[-+\u2212]?[1-9][0-9]{0,2}([.,])[0-9]{3}")
 _BLOCK = 512  # rows that are read at once
+_HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
 _MEASURED = re.compile(r"(.*[0-9.,])\s*([^\W\d_].*|%|°.*)")
 _QUOTED = 60  # characters of a cell in a message
 
@@ -67,6 +68,12 @@ def measured(cell: str, decimal: str = ".") -> tuple[str, str] | None:
     match = _MEASURED.fullmatch(cell)
     known = match and number(match[1], decimal) is not None and named_unit(match[2])
     return (match[1], match[2]) if match and known else None
+
+
+def head_of(cell: str) -> tuple[str, str]:
+    """(name, unit) of a cell that heads a column, ``boom.q [deg]``; '' where it says no unit."""
+    match = _HEAD.fullmatch(cell)
+    return (match[1], match[2] or "") if match else (cell, "")
 
 
 def _holds(text: str, separator: str, mark: str, pattern: str) -> bool:
@@ -299,7 +306,7 @@ class TextTable:
 
     def bad_cell(self, index: int, row: int, cell: str) -> LogError:
         """The error of a cell that holds no number, with file, line and column."""
-        name = self.header[index].split("[")[0].strip()
+        name, _ = head_of(self.header[index])
         key = "data.no_number" if cell else "data.blank"
         return LogError(message(key, name=name, cell=cell), file=self.path, line=self.lines[row])
 

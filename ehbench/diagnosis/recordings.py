@@ -13,7 +13,7 @@ from ehbench.plant.foreign import model_of
 from ehbench.preprocessing.observations import column, payload_of
 from ehbench.preprocessing.plausibility import off_pins
 from ehbench.signals.series import correlation_band
-from ehbench.vocabulary import EhbenchError, Message, from_si, message, quantity
+from ehbench.vocabulary import EhbenchError, Message, message
 from ehbench.vocabulary.quantities import GAUGES
 
 NONE = "none"
@@ -128,9 +128,7 @@ def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]
                 worst[name] = (apart, case)
     for name, (off, case) in worst.items():
         rig = case.model.rig
-        unit = rig.unit_of("x")
-        shown = f"{from_si(abs(off), unit, quantity('x')):.3g} {unit}"
-        by = rig.cylinder_named(name).linkage_word
+        shown, by = rig.shown("x", abs(off), 3), rig.cylinder_named(name).linkage_word
         yield (
             name,
             f"{name}.x and {name}.q of {case.name} disagree with the {by} by {shown}",

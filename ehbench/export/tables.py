@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.export.component import distinct, identifier
 from ehbench.export.content import Export, Written
 from ehbench.export.linear import StateSpace, state_spaces
 from ehbench.runtime.disk import replacing
-from ehbench.vocabulary import EhbenchError, message
+from ehbench.vocabulary import EhbenchError, message, quantity
 from ehbench.vocabulary.errors import one_line
 
 KEYWORDS = set(
@@ -91,7 +91,7 @@ def _facts(rig: Rig, fitted: Fitted) -> dict[str, Any]:
             inner = inner.setdefault(f"{word}.", {})
         inner[last] = {
             "value": float(value),
-            "unit": parameter_row(name).unit,
+            "unit": quantity(name).unit,
             "interval": row.get("interval") or (math.nan, math.nan),
             "status": row.get("status", "fixed"),
             "source": one_line(value.source or ""),

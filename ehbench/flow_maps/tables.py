@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import FlowMapOptions, Units
 from ehbench.flow_maps.results import FlowMapFit, fit_flow_map
 from ehbench.vocabulary import VOCABULARY, Z95, InputError, Message, from_si, message, setting
+from ehbench.vocabulary.errors import nearest
 
 
 @dataclass(frozen=True)
@@ -178,11 +178,9 @@ def _edge_of(
     if valve not in known:  # a file's name may be in capitals
         valve = next((name for name in known if name.lower() == valve.lower()), valve)
     if valve not in known:
-        near, there = get_close_matches(valve, known, 1), ", ".join(sorted(set(plain)))
+        there = ", ".join(sorted(set(plain)))
         text = message("flow_maps.unknown_edge", rig=rig.name, valve=valve, there=there)
-        if near:
-            text = message("flow_maps.unknown_edge_near", rig=rig.name, valve=valve, near=near[0])
-        raise InputError(text, **where)
+        raise InputError(text, **where, hint=nearest(valve, known))
     options, side = known[valve], direction
     if "->" in direction:
         ends = tuple(end.strip() for end in direction.split("->", 1))

@@ -24,7 +24,7 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import noise_of, read_off, supply_off
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
-from ehbench.vocabulary import InsufficientData, Message, message, quantity, setting
+from ehbench.vocabulary import InsufficientData, Message, message, setting
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import of_log
 from ehbench.vocabulary.quantities import GAUGES
@@ -239,14 +239,6 @@ class HydraulicsFit:
         return asdict(replace(self, rig=None, recordings=())) | {
             "rig": self.rig.name,
             "recordings": [name for name, _ in self.recordings],
-        }
-
-    def series(self) -> dict[str, dict[str, np.ndarray]]:
-        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
-        [rad]``, in SI."""
-        return {
-            log: {f"{name} [{quantity(name).unit}]": y for name, y in columns.items()}
-            for log, columns in self.recordings
         }
 
 

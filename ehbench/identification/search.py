@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ehbench.config.recipe.sensor import reading_row
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.preprocessing.sensors import Term
-from ehbench.vocabulary import InputError, Quantity, message, placed, units
+from ehbench.vocabulary import InputError, Quantity, message, placed, quantity, units
 from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import Value
 
@@ -56,7 +56,7 @@ class Coordinate:
     @property
     def row(self) -> Quantity:
         """The vocabulary's row of the parameter."""
-        return self.quantity or parameter_row(self.name)
+        return self.quantity or quantity(self.name)
 
     @property
     def owner(self) -> str:
@@ -176,7 +176,7 @@ def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
 def _coordinate(
     rig: Rig, name: str, value: Value, given: Mapping[str, Given], where: Where
 ) -> Coordinate:
-    row = parameter_row(name)
+    row = quantity(name)
 
     def bound(key: str, default: float | None) -> float | None:
         return _number(given[key][name], name, where(key, name)) if name in given[key] else default
@@ -217,6 +217,6 @@ def _number(raw: str | float, name: str, at: Mapping[str, Any], check: bool = Tr
     """A number in SI; ``check`` holds it against the plausible range of the parameter."""
     if not isinstance(raw, str):
         return float(raw)
-    row = parameter_row(name)
+    row = quantity(name)
     with placed(at):
         return units.parse(raw, row if check else replace(row, lower=-math.inf, upper=math.inf))

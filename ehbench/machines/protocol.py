@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 
 from ehbench.machines.rows import Controls, Rows
 from ehbench.parts.edge import edge_flows
+from ehbench.parts.sample import sample_channels
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
-from ehbench.vocabulary import InputError, message
+from ehbench.vocabulary import InputError, SimulationError, message
 
 Posture = Mapping[str, str | float] | None
 Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1
@@ -133,6 +134,30 @@ class Machine(Protocol):
     def close(self) -> None:
         """Let the machine go, its valves at rest; closing twice does nothing."""
         ...
+
+
+class Simulated:
+    """What machines that are simulations of a model have alike; ``state`` is where it stands."""
+
+    name: str
+    state: np.ndarray
+
+    def __init__(self, model: Model, rate: float) -> None:
+        self.model, self.layout, self.rate = model, model.layout, float(rate)
+        self.channels, self.commands = sample_channels(self.layout.cylinders), Inputs.of(model)
+        self.strokes = model.plant.cylinders.stroke.copy()
+
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`."""
+        self.model.posture(posture)
+
+    def must_be_finite(self) -> None:
+        """Raise SimulationError where its numbers left the finite range."""
+        if not np.isfinite(self.state).all():
+            raise SimulationError(message("machines.not_finite", machine=self.name))
+
+    def close(self) -> None:
+        """There is nothing to let go."""
 
 
 class Truth(Protocol):

@@ -17,7 +17,7 @@ from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMaps, collect
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
-from ehbench.vocabulary import VOCABULARY, InputError, message, placed
+from ehbench.vocabulary import InputError, message, placed, quantity
 from ehbench.vocabulary.fields import Value, read_value
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
@@ -129,7 +129,7 @@ def _bench(recipe: TrialRecipe, change: MachineChange, rig: Rig) -> VirtualMachi
     )
     truth, powers, valves = {}, _powers(base), {}
     for name, text in bench.truth.items():
-        row = VOCABULARY[name.rsplit(".", 1)[-1]]
+        row = quantity(name)
         number = _changed(name, float(read_value(text, row)), slower, powers)
         truth[name] = f"{number!r} {row.unit}"
     for name, item in bench.valve.items():

@@ -8,9 +8,9 @@ import numpy as np
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
-from ehbench.machines.protocol import Advance, Inputs, Posture
+from ehbench.machines.protocol import Advance, Posture, Simulated
 from ehbench.machines.rows import Controls, Rows, control, violated
-from ehbench.parts.sample import perfect_sample, sample_channels
+from ehbench.parts.sample import perfect_sample
 from ehbench.parts.valve.delay import Line, line_acting, line_of, line_push
 from ehbench.plant.build import Maps, Plant, links_of
 from ehbench.plant.derivatives import derivatives
@@ -19,7 +19,6 @@ from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, LATE, SCRATCH, Step, Way, over_tick, pace_of
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.compiled import bound, kernel
-from ehbench.vocabulary import SimulationError, message
 
 NAME = "model"
 
@@ -104,7 +103,7 @@ def _advance(first, stop, run, rows, law, pace):
     return -1
 
 
-class SimulatedMachine:
+class SimulatedMachine(Simulated):
     """A model as a machine: ``start`` puts it at rest in a posture, ``tick`` lets a command act;
     samples are exact.
 
@@ -119,9 +118,7 @@ class SimulatedMachine:
     plays = False  # its valves are the maps themselves, the middle of both ways
 
     def __init__(self, model: Model, rate: float = 1000.0, step: Step = STEP) -> None:
-        self.model, self.layout, self.rate = model, model.layout, float(rate)
-        self.channels, self.commands = sample_channels(model.layout.cylinders), Inputs.of(model)
-        self.strokes = model.plant.cylinders.stroke.copy()
+        super().__init__(model, rate)
         self.steps = LATE if step == AUTO else max(1, round(1.0 / (self.rate * step)))
         plant, states = model.plant, model.layout.states
         self.state = np.zeros(states)
@@ -145,10 +142,6 @@ class SimulatedMachine:
         step = recipe.step if isinstance(recipe.step, str) else float(recipe.step)
         return cls(model, float(recipe.rate), step)
 
-    def check_posture(self, posture: Posture) -> None:
-        """As `Machine.check_posture`."""
-        self.model.posture(posture)
-
     def carry(self, payload: str | None) -> None:
         """As `carry_of` says."""
         self.model.plant.links[:] = self.model.links(payload)
@@ -171,12 +164,8 @@ class SimulatedMachine:
             model_tick(sim.y, fixed, sim.plant, sim.line, sim.steps, sim.k, sim.work, sample)
         else:
             paced_tick(sim, fixed, self._pace, sample)
-        self._must_be_finite()
+        self.must_be_finite()
         return sample
-
-    def _must_be_finite(self) -> None:
-        if not np.isfinite(self.state).all():
-            raise SimulationError(message("machines.not_finite", machine="simulation"))
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
@@ -185,13 +174,10 @@ class SimulatedMachine:
 
         def through(first: int, stop: int) -> int:
             row = through_rows(first, stop, running, rows, law, pace)
-            self._must_be_finite()
+            self.must_be_finite()
             return row
 
         return through
-
-    def close(self) -> None:
-        """There is nothing to let go."""
 
 
 class ModelTruth:

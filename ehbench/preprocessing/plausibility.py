@@ -383,7 +383,7 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
             fields = {"channel": name, "level": level, "share": share, "time": time}
             yield message("preprocessing.limited", **fields)
     for name, off in off_pins(record, model).items():
-        shown = f"{abs(from_si(off, rig.unit_of('x'), VOCABULARY['x'])):.3g} {rig.unit_of('x')}"
+        shown = rig.shown("x", abs(off), 3)
         way, by = "above" if off > 0.0 else "below", rig.cylinder_named(name).linkage_word
         yield message("preprocessing.off_pins", cylinder=name, off=shown, way=way, linkage=by)
     for cylinder in rig.cylinder:

@@ -16,12 +16,11 @@ from typing_extensions import TypedDict
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.logs.text import read_csv
-from ehbench.data.text import text_table
+from ehbench.data.text import head_of, text_table
 from ehbench.runs.rundir import read_json, write_json
 from ehbench.vocabulary import VOCABULARY, InputError, grouped, message, to_si
 from ehbench.vocabulary.text import unlike
 
-_HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _INDEX = "figures/index.json"
 
 
@@ -239,11 +238,6 @@ class FigureIndex:
         write_json(path, {"figures": self.figures})
 
 
-def _head(text: str) -> tuple[str, str | None]:
-    name, unit = next(_HEAD.finditer(text)).groups()
-    return name, unit
-
-
 def read_series(path: Path) -> Series:
     """A saved comparison: columns ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
     [rad]``.
@@ -266,7 +260,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
         InputError: a cell is no number."""
     table = text_table(path, "t [s],boom.q [rad]")
     columns = np.ascontiguousarray(table.floats(range(len(table.header))).T)
-    return {_head(name)[0]: column for name, column in zip(table.header, columns, strict=True)}
+    return {head_of(name)[0]: column for name, column in zip(table.header, columns, strict=True)}
 
 
 def read_points(path: Path) -> Points:
@@ -276,7 +270,8 @@ def read_points(path: Path) -> Points:
     Raises:
         InputError: a column is missing, or a cell is no number."""
     table = text_table(path, "valve,direction,command [V],pressure_drop [kPa],flow [gpm]")
-    columns = {_head(name)[0]: (i, _head(name)[1]) for i, name in enumerate(table.header)}
+    heads = map(head_of, table.header)
+    columns = {name: (i, unit) for i, (name, unit) in enumerate(heads)}
     values_of: dict[str, np.ndarray] = {}
     for name in Points.__dataclass_fields__:
         if name not in columns:
@@ -290,5 +285,5 @@ def read_points(path: Path) -> Points:
         else:
             row = VOCABULARY["flow" if name == "fitted" else name]
             values = table.floats([place])[:, 0]
-            values_of[name] = values if unit is None else to_si(values, unit, row)
+            values_of[name] = to_si(values, unit, row) if unit else values
     return Points(**values_of)

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from ehbench.config.recipe import load_rig
 from ehbench.config.recipe.toml import line_of, read_toml
 from ehbench.report.blocks import Grid
 from ehbench.report.provenance import Source, TracedRun
@@ -228,7 +230,7 @@ def origin(name: str, folder: Path) -> Origin:
         windows=windows,
         sources=tuple(traced.sources),
         recipe=_recipe_line(traced.recipe, result),
-        rig=_rig_line(traced.run, rig, result),
+        rig=_rig_line(rig, result),
         changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
     )
 
@@ -312,46 +314,26 @@ def _recipe_line(recipe: Source, result: NamedResult) -> TextLine | None:
     return None if line is None else TextLine(recipe.name, line, rows[line - 1].strip())
 
 
-def _rig_line(run: Saved, source: Source | None, result: NamedResult) -> TextLine | None:
-    """The line of the rig file that has the parameter, with the source it names; none of a number
-    of the run that only ends like one."""
+def _rig_line(source: Source | None, result: NamedResult) -> TextLine | None:
+    """The line of the rig file that has the parameter, with the source it names."""
     place = None if source is None else source.place
     place = place / "rig.toml" if place is not None and place.is_dir() else place
     if source is None or place is None or not place.is_file():
         return None
-    with suppress(EhbenchError):  # a rig that cannot be read says nothing
-        if run.has_rig and result.path not in run.rig.parameters():
-            return None
     try:
-        table, text = read_toml(place)
-    except EhbenchError:
+        (table, text), rig = read_toml(place), load_rig(place)
+    except EhbenchError:  # a rig that cannot be read says nothing
         return None
-    *parts, last = result.path.split(".")
-    for location, names, value in _leaves(table, (), ()):
-        rated = last.endswith("_gain") and names[-2:] == ("rated", "flow")
-        if not ((rated or names[-1] == last) and set(parts) <= set(names)):
-            continue
-        line = line_of(text, location)
-        if line is None:
-            return None
-        origin = value.get("source", "") if isinstance(value, Mapping) else ""
-        name = place.name if SHIPPED in place.parents else source.name
-        return TextLine(name, line, text.splitlines()[line - 1].strip(), str(origin))
+    owner, dot, key = result.path.rpartition(".")
+    places = [part for prefix, part, _ in rig.parts() if prefix == owner + dot]
+    ends = [(key,), ("rated", "flow")] if key.endswith("_gain") else [(key,)]
+    for parts in ((*at, *end) for at, end in product(places, ends)):
+        with suppress(LookupError, TypeError):  # it is not written there
+            value: Any = table
+            for part in parts:
+                value = value[part]
+            if (line := line_of(text, parts)) is not None:
+                origin = value.get("source", "") if isinstance(value, Mapping) else ""
+                name = place.name if SHIPPED in place.parents else source.name
+                return TextLine(name, line, text.splitlines()[line - 1].strip(), str(origin))
     return None
-
-
-def _leaves(
-    value: Any, location: tuple[Any, ...], names: tuple[str, ...]
-) -> Iterator[tuple[tuple[Any, ...], tuple[str, ...], Any]]:
-    """(location, names down to its key, value) of every value of a rig file."""
-    if isinstance(value, Mapping) and "value" not in value:
-        inner = (*names, value["name"]) if isinstance(value.get("name"), str) else names
-        if inner == names and names[-1:] == ("edge",):  # named by its valve and its nodes
-            inner = (*names, f"{names[-2]}_{value.get('from')}_{value.get('to')}")
-        for key, inside in value.items():
-            yield from _leaves(inside, (*location, key), (*inner, key))
-    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-        for index, inside in enumerate(value):
-            yield from _leaves(inside, (*location, index), names)
-    elif names:
-        yield location, names, value

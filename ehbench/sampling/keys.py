@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.config.recipe import validated
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.sampling.design import Factor
-from ehbench.vocabulary import InputError, UnitError, message, placed
+from ehbench.vocabulary import InputError, UnitError, message, placed, quantity
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.units import split_number
 
@@ -76,7 +77,7 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         if not names:
             deeper[path] = raw
         for name in names:
-            old, row, given = known[name], parameter_row(name), raw
+            old, row, given = known[name], quantity(name), raw
             if isinstance(raw, Factor):
                 given = float(raw) * float(old)
                 given = given if row.unit == "dimensionless" else f"{given!r} {row.unit}"
@@ -120,8 +121,7 @@ def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: st
 def nowhere(key: str, known: Iterable[str]) -> InputError:
     """There is no such key, ``<file>.<path>``; with the nearest path of those known."""
     file, _, path = key.partition(".")
-    near = get_close_matches(path, known, 1, 0.4)
-    hint = f"nearest is '{file}.{near[0]}'" if near else None
+    hint = nearest(path, known, f"nearest is '{file}.{{}}'", 0.4)
     return InputError(message("sampling.nowhere", key=key), hint=hint)
 
 

@@ -25,7 +25,7 @@ from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
 from ehbench.sampling.sample import Workers
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState, maps_in
-from ehbench.vocabulary import InputError, Progress, message, plural
+from ehbench.vocabulary import InputError, Progress, message, plural, quantity
 from ehbench.vocabulary.notebook import label, shown, table
 
 if TYPE_CHECKING:
@@ -297,10 +297,11 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
         save_flow_maps(maps, folder)
 
 
-def write_series(folder: Path, series: Mapping[str, Mapping[str, Any]]) -> None:
-    """One CSV log for each recording: ``<name>.csv`` with recorded and simulated channels."""
+def write_series(folder: Path, series: Sequence[tuple[str, Mapping[str, np.ndarray]]]) -> None:
+    """One CSV log for each recording: ``<name>.csv`` with columns named ``t [s]``, ``boom.q [rad]``
+    (recorded) and ``simulated.boom.q [rad]``, in SI."""
     folder.mkdir()
-    for name, columns in series.items():
+    for name, columns in (pair for pair in series if pair[1]):
         table = np.column_stack(list(columns.values()))
-        header = ",".join(columns)
+        header = ",".join(f"{channel} [{quantity(channel).unit}]" for channel in columns)
         np.savetxt(folder / f"{name}.csv", table, "%.9g", ",", header=header, comments="")

@@ -10,7 +10,7 @@ import tomli_w
 
 from ehbench.config.recipe import HydraulicsRecipe, Recipe, read_toml
 from ehbench.config.recipe.sensor import Sensor
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.comparison import comparison_of
 from ehbench.guidance.suggestions import Suggestions
@@ -25,7 +25,7 @@ from ehbench.stages import base
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.stages.relocation import name_from, relocated
-from ehbench.vocabulary import InputError, Progress, message, plural
+from ehbench.vocabulary import InputError, Progress, message, plural, quantity
 
 _METHODS = {"thesis": "log decrement", "output_error": "output error"}
 # options of a fit that a recipe says as they are
@@ -112,7 +112,7 @@ class HydraulicsStage(base.Stage[HydraulicsRecipe, PreparedHydraulics]):
         advice = comparison_of(prepared.fit).steps
         additional["advice"] = [{"key": step.key, "fields": step.fields} for step in advice]
         rundir.write_json(folder / "parameters.json", fit.as_json() | additional)
-        base.write_series(folder / "series", fit.series())
+        base.write_series(folder / "series", fit.recordings)
         fitted_on = [rundir.sha256(path) for _, path in logs.inputs]
         return prepared.done(fit.warnings, method=recipe.method, fitted_on=fitted_on)
 
@@ -141,7 +141,7 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
         table["flow_maps"] = "."
     table |= {"rig": "rig.toml", "parameters": list(setup.parameters)}
     table["start"] = {
-        name: f"{float(value):.6g} {parameter_row(name).unit}".removesuffix(" dimensionless")
+        name: f"{float(value):.6g} {quantity(name).unit}".removesuffix(" dimensionless")
         for name, value in setup.options.start.items()
     }
     bounds = [(name, maximum) for change in setup.changes for name, maximum in change.upper.items()]

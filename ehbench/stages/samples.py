@@ -24,7 +24,6 @@ from ehbench.config.recipe import (
     read_toml,
     validated,
 )
-from ehbench.config.rig import parameter_row
 from ehbench.runs import rundir
 from ehbench.runtime.disk import impossible, write_text
 from ehbench.sampling.cluster import Bundle, file_name
@@ -37,7 +36,7 @@ from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import relative
 from ehbench.stages.trial import PreparedOne
-from ehbench.vocabulary import EhbenchError, InputError, Progress, message
+from ehbench.vocabulary import EhbenchError, InputError, Progress, message, quantity
 from ehbench.vocabulary.units import parse
 
 
@@ -326,7 +325,7 @@ def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) 
 
 
 def _si(value: Any, key: str) -> float:
-    return parse(value, parameter_row(key)) if isinstance(value, str) else float(value)
+    return parse(value, quantity(key)) if isinstance(value, str) else float(value)
 
 
 def trial_roots(facts: Mapping[str, Any], ledger: Mapping[str, Any] | None) -> list[Any]:

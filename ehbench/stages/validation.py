@@ -34,7 +34,7 @@ from ehbench.validation import (
 )
 from ehbench.validation.held_out import FittedSamples, overlaps
 from ehbench.validation.results import Validation
-from ehbench.vocabulary import EhbenchError, Progress, from_si, message, plural, quantity
+from ehbench.vocabulary import EhbenchError, Progress, message, plural
 from ehbench.vocabulary.messages import of_log
 
 
@@ -117,7 +117,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         others = [item.as_json() for item in recipe.reference]
         additional = {"references": others} if others else {}
         rundir.write_json(folder / "validation.json", verdict.as_json() | additional)
-        write_series(folder / "series", verdict.series())
+        write_series(folder / "series", [(log.name, log.series) for log in verdict.logs])
         work = prepared.done(
             [*prepared.sensors, *verdict.warnings],
             accepted=verdict.accepted,
@@ -142,7 +142,7 @@ def _limits(recipe: ValidateRecipe, rig: Rig) -> list[str]:
         for name, minimum in limits.fit_percent.items()
     ]
     texts += [
-        message("stages.limit_error", name=name, maximum=in_rig_unit(rig, name, float(maximum)))
+        message("stages.limit_error", name=name, maximum=rig.shown(name, float(maximum)))
         for name, maximum in limits.max_error.items()
     ]
     for name in ("natural_frequency", "damping_ratio"):
@@ -151,15 +151,9 @@ def _limits(recipe: ValidateRecipe, rig: Rig) -> list[str]:
     for name in ("gain", "phase", "delay"):
         limit = getattr(limits, f"response_{name}_error")
         if limit is not None:
-            shown = f"{100.0 * limit:g} %" if name == "gain" else in_rig_unit(rig, name, limit)
+            shown = f"{100.0 * limit:g} %" if name == "gain" else rig.shown(name, float(limit))
             texts.append(message("stages.limit_response", name=name, limit=shown))
     return texts + [word for word in ("whiteness", "independence") if getattr(limits, word)]
-
-
-def in_rig_unit(rig: Rig, name: str, value: float) -> str:
-    """An SI value in the rig file's unit of its quantity."""
-    unit = rig.unit_of(name)
-    return f"{float(f'{from_si(float(value), unit, quantity(name)):.4g}'):g} {unit}"
 
 
 def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]:

@@ -7,10 +7,8 @@ observes."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +35,8 @@ from ehbench.parts.sample import sample_size
 from ehbench.plant.design_point import circuit_of, design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
-from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message
+from ehbench.vocabulary import VOCABULARY, InputError, Message, Quantity, from_si, message, placed
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.fields import read_value, read_vector
 
 if TYPE_CHECKING:
@@ -153,18 +152,6 @@ def valve_fault(design: Design, t: np.ndarray, code: np.ndarray) -> dict[str, An
     return {"valve": name, "stays": "shut" if number > 0 else "open", "t": float(t[first])}
 
 
-@contextmanager
-def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
-    """Bad input found inside is said to stand at a key of the recipe, unless it says itself where
-    it stands."""
-    try:
-        yield
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(error.message, **recipe.at(*keys), hint=error.hint) from None
-
-
 def controller_of(recipe: TrialRecipe) -> ChosenController:
     """The ``[controller]`` of a closed-loop trial's recipe."""
     assert recipe.controller is not None  # nothing here is asked of open loop
@@ -180,17 +167,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
     controller, motion = controller_of(recipe), recipe.motion
     motion_at = motion.where if motion is not None else ()
     names = [c.name for c in rig.cylinder]
-    known = ", ".join(names)
     name = motion.cylinder if motion is not None else None
     if name is None and len(names) > 1:
         where = recipe.at(*(motion_at or ("controller",)))
-        raise InputError(message("trial.several_cylinders", known=known), **where)
-    if name is not None and name not in names:
-        raise InputError(
-            message("trial.unknown_cylinder", rig=rig.name, cylinder=name, known=known),
-            **recipe.at(*motion_at, "cylinder"),
-        )
-    index = names.index(name) if name is not None else 0
+        raise InputError(message("trial.several_cylinders", known=", ".join(names)), **where)
+    with placed(recipe.at(*motion_at, "cylinder")):
+        index = rig.cylinder.index(rig.cylinder_named(name)) if name is not None else 0
     model = Model.of(rig, maps) if model is None else model
     valves = model.layout.valves
     for valve in controller.unused:
@@ -199,12 +181,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
                 message("trial.unused_valve", valve=valve, known=", ".join(valves)),
                 **recipe.at(*controller.where, "unused"),
             )
-    with located(recipe, *controller.where, "unused"):
+    with placed(recipe.at(*controller.where, "unused")):
         unused = [valves.index(valve) for valve in controller.unused]
         circuit = circuit_of(model, index, maps, unused)
-    with located(recipe, "posture"):
+    with placed(recipe.at("posture")):
         model.posture(recipe.posture)
-    with located(recipe, *motion_at, "waypoints"):
+    with placed(recipe.at(*motion_at, "waypoints")):
         q = model.posture(posture_of(recipe, names[index]))
     return Design(rig, maps, model, names[index], index, q, circuit)
 
@@ -259,7 +241,7 @@ def compiled(
     point = design_point_of(design.model, design.circuit, design.q, 1.0 / rate, unused)
     gains, given_rules, given_shaping = _taken(recipe, law, tuning, design.cylinder)
     low = gains.get("low_pressure", point.low_pressure)
-    with located(recipe, *chosen.where, "rules"):
+    with placed(recipe.at(*chosen.where, "rules")):
         rules = pack_rules(
             design.circuit.area_rod, point.supply_pressure, low_pressure=low, **given_rules
         )
@@ -268,10 +250,10 @@ def compiled(
         if moves and not design.circuit.able[way == DIRECTION].any():
             text = message("trial.no_function", cylinder=design.cylinder, direction=word)
             raise InputError(text, **recipe.at("motion"))
-    with located(recipe, *chosen.where, "shaping"):
+    with placed(recipe.at(*chosen.where, "shaping")):
         shaping = pack_shaping(**given_shaping)
     _refuse_without(recipe, law, gains)
-    with located(recipe, *chosen.where, "gains"):
+    with placed(recipe.at(*chosen.where, "gains")):
         packed = law.pack(point, gains, rules, shaping)
     channels, monitor = sample_size(len(design.model.layout.cylinders)), None
     if chosen.monitor:
@@ -465,19 +447,9 @@ def quantities(
     for name, raw in given.items():
         where = recipe.at(*controller.where, table, name)
         if name not in rows:
-            near = get_close_matches(name, rows, 1)
-            raise InputError(
-                message(
-                    "trial.unknown_key",
-                    controller=controller.label,
-                    table=table,
-                    name=name,
-                    suggestion=f"did you mean '{near[0]}'?"
-                    if near
-                    else "it has " + ", ".join(rows),
-                ),
-                **where,
-            )
+            suggestion = nearest(name, rows) or f"it has {', '.join(rows)}"
+            fields = {"controller": controller.label, "table": table, "name": name}
+            raise InputError(message("trial.unknown_key", **fields, suggestion=suggestion), **where)
         try:
             values[name] = _number(name, raw, rows[name], name in bounds)
         except InputError as error:

@@ -14,8 +14,8 @@ from ehbench.control.trajectory import ORDERS, A, X
 from ehbench.preprocessing.time_base import parts_of
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
-from ehbench.trial.controllers import Design, located
-from ehbench.vocabulary import InputError, message, setting
+from ehbench.trial.controllers import Design
+from ehbench.vocabulary import InputError, message, placed, setting
 
 DEFLECTION, DEADMAN = range(2)  # columns of what a lever said
 LEVER_CHANNELS = ("operator", "deadman")  # by which logs have them
@@ -95,7 +95,7 @@ def commanded(
         inputs = _logged(recipe, motion.file, design.cylinder)
     else:
         assert recipe.duration is not None  # the recipe's model sees to it
-        with located(recipe, "duration"):
+        with placed(recipe.at("duration")):
             inputs = np.zeros((rows_of(float(recipe.duration), rate) + 1, len(LEVER_CHANNELS)))
     return lever.table(design.x, inputs[:, DEFLECTION]), lever, inputs
 

@@ -28,9 +28,9 @@ from ehbench.control.valve_level import pump_speed, top_speed
 from ehbench.parts.supply import sensed
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.commands import log_with
-from ehbench.trial.controllers import Design, located
+from ehbench.trial.controllers import Design
 from ehbench.trial.lever import LEVER_CHANNELS, Lever, commanded
-from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message, setting
+from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message, placed, setting
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.fields import read_value
 
@@ -80,7 +80,7 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
     motion = recipe.motion
     if motion is None:
         return lasting(recipe, design, rest(design))
-    with located(recipe, *motion.where):
+    with placed(recipe.at(*motion.where)):
         desired = MOTIONS[motion.kind](recipe, motion, design, low_pressure)
     return lasting(recipe, design, desired)
 
@@ -98,7 +98,7 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
     motion = recipe.motion
     rate, table = float(recipe.rate), desired.table
     if recipe.duration is not None:
-        with located(recipe, "duration"):
+        with placed(recipe.at("duration")):
             count = rows_of(float(recipe.duration), rate) + 1
         if desired.lever is not None:  # a log that is played ends the trial
             count = min(count, len(table))

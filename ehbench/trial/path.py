@@ -18,7 +18,7 @@ from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
 from ehbench.trial.motion import limits_of
-from ehbench.vocabulary import InputError, from_si, message, quantity, setting
+from ehbench.vocabulary import InputError, from_si, message, placed, quantity, setting
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -58,12 +58,8 @@ class Mover:
         """
         plant, names = model.plant, model.layout.cylinders
         for index, name in enumerate(motion.cylinders):
-            if name not in names:
-                rig, known = model.rig.name, ", ".join(names)
-                raise InputError(
-                    message("trial.unknown_cylinder", rig=rig, cylinder=name, known=known),
-                    **recipe.at(*motion.where, "cylinders", index),
-                )
+            with placed(recipe.at(*motion.where, "cylinders", index)):
+                model.rig.cylinder_named(name)
         moved = {name: names.index(name) for name in motion.cylinders or names}
         low, high = np.full((2, len(model.layout.joints)), np.nan)
         q = model.posture(recipe.posture)

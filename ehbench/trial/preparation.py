@@ -38,7 +38,7 @@ from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.motion import References, lasting, references, rest
 from ehbench.trial.path import route
 from ehbench.trial.user_code import UserCode
-from ehbench.vocabulary import VOCABULARY, InputError, Message, from_si, message
+from ehbench.vocabulary import InputError, Message, message, placed
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -57,29 +57,24 @@ RUN_OUT = 3.0  # [s] that are logged at most after a stop, valves at rest
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Why a trial stopped: which limit, on which channel, the value [SI] that reached it, its bound
-    [SI] and when [s].
-
-    ``sentence`` says so in the units of the rig file."""
+class Excess:
+    """A limit that a quantity reached, or went beyond after a stop: limit, channel, the value [SI],
+    that farthest out, and the bound [SI]."""
 
     limit: str
     channel: str
     value: float
     bound: float
-    t: float
-    sentence: Message
 
 
 @dataclass(frozen=True)
-class Excess:
-    """How far a quantity went beyond its limit after a stop: limit, channel, the value [SI]
-    farthest out and the bound [SI]."""
+class Stop(Excess):
+    """Why a trial stopped: the limit that was reached first, and when [s].
 
-    limit: str
-    channel: str
-    value: float
-    bound: float
+    ``sentence`` says so in the units of the rig file."""
+
+    t: float
+    sentence: Message
 
 
 @dataclass(frozen=True)
@@ -264,7 +259,7 @@ class Prepared:
             InputError: a posture that the machine cannot take; a limit reached before the start.
         """
         recipe = self.recipe
-        with controllers.located(recipe, "posture"):
+        with placed(recipe.at("posture")):
             sample = machine.start(self.posture, self.low_side)
         rows = self.rows(machine, sample, count)
         if violated(rows, 0):
@@ -298,15 +293,14 @@ class Prepared:
             word = QUANTITY_OF[limit]
         elif channel:
             word = channel.rsplit(".", 1)[-1]
-        unit = self.rig.unit_of(word)
-        shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
-        fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit, "t": t}
+        shown, edge = (self.rig.shown(word, number) for number in (value, bound))
+        fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit, "t": t}
         if limit == "monitor":
             sentence = message("trial.stop_sensor" if entry >= 0 else "trial.stop_valve", **fields)
         elif limit in OWN_SENTENCE:
-            sentence = message(f"trial.stop_{limit}", bound=edge, **fields)
+            sentence = message(f"trial.stop_{limit}", **fields)
         else:
-            sentence = message("trial.limit_passed", bound=edge, **fields)
+            sentence = message("trial.limit_passed", **fields)
         return Stop(limit, channel, value, bound, t, sentence)
 
     def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool | None) -> Aftermath:
@@ -330,12 +324,9 @@ class Prepared:
             for limit, value, bound, is_least in ends:
                 if value < bound if is_least else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
-                    unit = self.rig.unit_of(word)
-                    shown, edge = (
-                        from_si(float(v), unit, VOCABULARY[word]) for v in (value, bound)
-                    )
-                    fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit}
-                    sentences += message("trial.beyond_limit", bound=edge, **fields)
+                    shown, edge = (self.rig.shown(word, float(x)) for x in (value, bound))
+                    fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit}
+                    sentences += message("trial.beyond_limit", **fields)
         seconds = (span.stop - span.start - 1) / machine.rate
         stood = {True: "it stood still", False: "it still moved", None: "no sensor shows motion"}
         sentence = message(
@@ -371,12 +362,12 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
-    with controllers.located(recipe, "supply"):
+    with placed(recipe.at("supply")):
         rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture, chosen = None, recipe.posture, recipe.controller
     # of a controller of a set
     where = chosen.where if chosen is not None and getattr(chosen, "dynamics", None) else ()
-    with controllers.located(recipe, *where, "dynamics"):
+    with placed(recipe.at(*where, "dynamics")):
         rig = rig.with_dynamics(recipe.dynamics)
     if chosen is not None:
         refuse_code(recipe, allow_code)
@@ -387,11 +378,11 @@ def prepare(
         count = len(loop.references.table)
     else:
         assert recipe.duration is not None  # the recipe's model sees to it
-        with controllers.located(recipe, "duration"):
+        with placed(recipe.at("duration")):
             count = rows_of(float(recipe.duration), rate) + 1
     if count < 2:
         raise InputError(message("trial.too_short"), **recipe.at("duration"))
-    with controllers.located(recipe, "duration"):
+    with placed(recipe.at("duration")):
         _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, () if loop is None else loop.valves)
@@ -405,7 +396,7 @@ def prepare(
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:
-        with controllers.located(recipe, "posture"):
+        with placed(recipe.at("posture")):
             machine.check_posture(posture)
     return prepared
 
@@ -437,7 +428,7 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
             problem = message("trial.payload_by_hand", machine=machine.name)
             raise InputError(problem, **recipe.at("payload_change"))
         results[row] = None if change.payload == "none" else change.payload
-        with controllers.located(recipe, "payload_change", i, "payload"):
+        with placed(recipe.at("payload_change", i, "payload")):
             carry(results[row])
     return results
 

@@ -12,7 +12,7 @@ from ehbench.diagnosis import DOMINANT, Structure
 from ehbench.frequency_response.response import Curve
 from ehbench.preprocessing.observations import rings_clearly
 from ehbench.signals.series import Ringing
-from ehbench.vocabulary import message, quantity
+from ehbench.vocabulary import message
 from ehbench.vocabulary.terms import BEYOND
 
 
@@ -261,18 +261,6 @@ class Validation:
             del log["series"]
             log["passed"] = result.passed
         return table
-
-    def series(self) -> dict[str, dict[str, np.ndarray]]:
-        """By log, columns named ``t [s]``, ``boom.q [rad]`` (recorded) and ``simulated.boom.q
-        [rad]``, in SI.
-        """
-        return {
-            log.name: {
-                f"{name} [{quantity(name).unit}]": values for name, values in log.series.items()
-            }
-            for log in self.logs
-            if log.series
-        }
 
 
 def speaking_against(fit: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:

@@ -54,7 +54,7 @@ class EhbenchError(Exception):
 
 @contextmanager
 def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:
-    """A block whose input errors get a place.
+    """A block whose input errors get a place, unless they say themselves where they stand.
 
     Args:
         where: file and line, as `Recipe.at` gives them.
@@ -62,6 +62,8 @@ def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:
     try:
         yield
     except InputError as error:
+        if error.file is not None:
+            raise
         text = f"{about}: {error.message}" if about else error.message
         raise type(error)(text, **where, hint=error.hint) from None
 

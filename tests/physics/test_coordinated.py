@@ -219,13 +219,13 @@ SWING = {"kind": "arc", "cylinders": {"swing": {"kind": "arc"}}}
 @pytest.mark.parametrize(
     ("rig", "controller", "motion", "key"),
     [
-        ("thesis_arm", {"class": "mine:Mine"}, path(), "class_moves_one"),
-        ("thesis_arm", {"kind": "arc"}, path(cylinders=["bucket"]), "unknown_cylinder"),
-        ("slide_servo", SWING, LINE, "law_without_motion"),
+        ("thesis_arm", {"class": "mine:Mine"}, path(), "trial.class_moves_one"),
+        ("thesis_arm", {"kind": "arc"}, path(cylinders=["bucket"]), "config.no_cylinder"),
+        ("slide_servo", SWING, LINE, "trial.law_without_motion"),
     ],
 )
 def test_what_a_controller_says_must_fit_the_cylinders(rig, controller, motion, key, tmp_path):
-    with refused(f"trial.{key}"):
+    with refused(key):
         prepare(trial(tmp_path, motion, controller), shipped(rig), allow_code=True)
 
 

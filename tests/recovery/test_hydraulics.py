@@ -344,8 +344,8 @@ def test_a_missing_rate_and_a_low_pass_leave_the_answer():
     logs = edited(slide_logs(8), lambda c, v, _: None if c.endswith((".qd", ".v")) else v)
     fit = identify(shipped("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.v" in fit.logs[0].fit_percent and near(fit, {"bulk_modulus": 9e8})
-    names = {"t [s]", "press.p_head [Pa]", "simulated.press.p_head [Pa]"}
-    assert all(names <= set(series) for series in fit.series().values())
+    names = {"t", "press.p_head", "simulated.press.p_head"}
+    assert all(names <= set(series) for _, series in fit.recordings)
     assert near(identify(shipped("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0), TRUE)
 
 

@@ -149,7 +149,7 @@ REFUSED = {  # the row of line 42, the map, the message's key, the line, what is
     "no column": (
         "0.040;50;0",
         TIME + HEAD.replace("A", "AOO"),
-        "data.no_column_near",
+        "data.no_column",
         None,
         "'AO'",
     ),

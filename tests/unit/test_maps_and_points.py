@@ -808,7 +808,7 @@ def rows_of(valve="servo_supply_head", way="forward", size=20, **columns: Any):
         ("thesis_arm", "REGEN", "forward", 1, "regen", "forward"),
         ("slide_servo", "servo", "forward", 1, "flow_maps.several_edges", ""),
         ("slide_servo", "servo", "head->rod", 1, "flow_maps.unknown_direction", ""),
-        ("slide_servo", "servo_supply_hed", "forward", 1, "flow_maps.unknown_edge_near", ""),
+        ("slide_servo", "servo_supply_hed", "forward", 1, "flow_maps.unknown_edge", ""),
         ("slide_servo", "pump", "forward", 1, "flow_maps.unknown_edge", ""),
         ("slide_servo", "servo_supply_rod", "forward", 1, "flow_maps.wrong_sign", ""),
         ("slide_servo", "servo_supply_head", "forward", -1, "flow_maps.wrong_sign", ""),
@@ -825,6 +825,8 @@ def test_readings_go_to_the_edge_that_they_name(rig, valve, way, sign, name, sid
         with refused(name) as said:
             tables.prepare_readings(shipped(rig), [rows])
         assert (said.value.file, said.value.line) == ("b.csv", 20 if "outside" in name else first)
+        near = said.value.hint == "did you mean 'servo_supply_head'?"
+        assert near == (valve == "servo_supply_hed")
         return
     (edge,) = tables.prepare_readings(shipped(rig), [rows]).edges
     assert (edge.edge, edge.side) == (name or valve, side)

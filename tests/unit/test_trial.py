@@ -398,7 +398,7 @@ trial.zero_level        | STEPS levels = ["0 %"]; duration = "1 s"
 no unit                 | STEPS levels = ["30"]; duration = "1 s"
 trial.leaves_stroke     | STEPS levels = ["100 %"]; duration = "60 s"
 needs 'file'            | kind = "file"
-trial.unknown_cylinder  | POINTS cylinder = "boom"; waypoints = ["1 mm", "2 mm"]; speed = "1 m/s"
+config.no_cylinder      | POINTS cylinder = "boom"; waypoints = ["1 mm", "2 mm"]; speed = "1 m/s"
 """
 KINDS = {
     "POINTS ": 'kind = "point_to_point"\n',

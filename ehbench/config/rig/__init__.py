@@ -7,6 +7,6 @@ its metering edges; an edge joins two of supply, tank, head and rod."""
 from ehbench.config.rig.cylinder import Cylinder, Force
 from ehbench.config.rig.mechanism import Joint, LinkLoad, Pins, Rack, Slide
 from ehbench.config.rig.names import NODES
-from ehbench.config.rig.rig import Rig, parameter_row
+from ehbench.config.rig.rig import Rig
 from ehbench.config.rig.supply import LoadSensing, LowRail
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve

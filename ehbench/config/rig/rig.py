@@ -20,7 +20,7 @@ from ehbench.config.rig.supply import LoadSensing, LowRail, Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
-from ehbench.vocabulary import VOCABULARY, Quantity, from_si, message, plural, units
+from ehbench.vocabulary import VOCABULARY, from_si, message, plural, quantity, units
 from ehbench.vocabulary.errors import InputError, UnitError, nearest
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars, with_scalars
 from ehbench.vocabulary.messages import digits
@@ -250,14 +250,14 @@ class Rig(FileModel):
         ``count`` digits.
         """
         unit = self.unit_of(name)
-        number = digits(float(from_si(value, unit, VOCABULARY[name.rsplit(".", 1)[-1]])), count)
+        number = digits(float(from_si(value, unit, quantity(name))), count)
         return number if unit == "dimensionless" else f"{number} {unit}"
 
     def text(self, name: str, value: float, decimals: int, sign: str = "") -> str:
         """A value [SI] in the unit that people see, as finely as so many ``decimals`` tell it in
         the vocabulary's own unit; ``sign`` is "+" where that is always said.
         """
-        unit, row = self.unit_of(name), VOCABULARY[name.rsplit(".", 1)[-1]]
+        unit, row = self.unit_of(name), quantity(name)
         coarser = factor(unit, row.unit) / factor(row.display, row.unit)
         decimals += max(0, math.ceil(math.log10(coarser) - 1e-9))
         return f"{float(from_si(value, unit, row)):{sign}.{decimals}f} {unit}"
@@ -490,8 +490,3 @@ def _with_part(model: Any, place: tuple[str | int, ...], part: Any) -> Any:
     if isinstance(model, dict):
         return {**model, key: _with_part(model[key], rest, part)}
     return model.model_copy(update={key: _with_part(getattr(model, str(key)), rest, part)})
-
-
-def parameter_row(name: str) -> Quantity:
-    """The vocabulary row of a parameter name such as ``boom.joint_damping``."""
-    return VOCABULARY[name.rsplit(".", 1)[-1]]

@@ -1,6 +1,5 @@
 """What a log must be: known channels with units, a time that goes on, plausible values."""
 
-import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -8,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.data.record import Record
+from ehbench.data.text import head_of
 from ehbench.vocabulary import VOCABULARY, LogError, UnitError, from_si, message, quantity, to_si
-
-LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
 
 TIME_NAMES = ("t", "time", "zeit", "timestamp", "seconds", "sec")  # what a time may be called
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
@@ -103,11 +101,19 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
 
 def label_of(text: str, *, file: str | Path, line: int | None = None) -> tuple[str, str]:
     """``boom.p_head [kPa]`` as (name, unit), both known."""
-    match = LABEL.match(text)
-    name, unit = match.groups() if match else (text.split("(")[0].strip(), "")
+    name, unit = head_of(text)
+    name = name if unit else name.partition("(")[0].strip()
     check_known(name, file=file, line=line)
-    row, label = quantity(name), text.strip()
-    if not unit.strip() and row.unit != "dimensionless":
+    check_unit(text.strip(), name, unit, file=file, line=line)
+    return name, unit
+
+
+def check_unit(
+    label: str, name: str, unit: str, *, file: str | Path, line: int | None = None
+) -> None:
+    """Raise UnitError unless ``unit`` is one of the quantity ``name``, as a ``label`` says."""
+    row = quantity(name)
+    if not unit and row.unit != "dimensionless":
         error = message("data.label_without_unit", label=label, name=name, display=row.display)
         raise UnitError(error, file=file, line=line)
     try:
@@ -115,4 +121,3 @@ def label_of(text: str, *, file: str | Path, line: int | None = None) -> tuple[s
     except UnitError as error:
         reason = message("data.label_error", label=label, error=error.message)
         raise UnitError(reason, file=file, line=line, hint=error.hint) from None
-    return name, unit

@@ -10,7 +10,6 @@ from zlib import crc32
 
 import numpy as np
 
-from ehbench.data.logs.checks import LABEL
 from ehbench.data.logs.layout import (
     ATTACHMENT,
     CDR_LITTLE_ENDIAN,
@@ -29,6 +28,7 @@ from ehbench.data.logs.layout import (
     unpack,
 )
 from ehbench.data.record import floats
+from ehbench.data.text import head_of
 from ehbench.vocabulary import VOCABULARY, message
 
 if TYPE_CHECKING:
@@ -79,14 +79,15 @@ class Stream:
             end += -end % kind.itemsize
             named = words[1] in channel.metadata
             label = channel.metadata.get(words[1], comment.strip())
-            known = label.split("[")[0].strip().rpartition(".")[2] in VOCABULARY
-            if (known or named) and (known and named or LABEL.match(label)):
+            name, unit = head_of(label)
+            known = name.rpartition(".")[2] in VOCABULARY
+            if (known or named) and (known and named or unit):
                 labels[words[1]] = label
                 names.append(words[1])
                 formats.append(kind)
                 offsets.append(HEAD_SIZE + end)
             end += kind.itemsize
-        if all(label.split("[")[0].strip() == "t" for label in labels.values()):
+        if all(head_of(label)[0] == "t" for label in labels.values()):
             return None
         layout = np.dtype(
             {"names": names, "formats": formats, "offsets": offsets, "itemsize": HEAD_SIZE + end}

@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +18,7 @@ from ehbench.data.readers.clock import moments, nanoseconds
 from ehbench.data.record import floats
 from ehbench.data.text import is_hole
 from ehbench.vocabulary import LogError, Message, listed, message, shortened
+from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.text import numbered
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
@@ -190,10 +190,8 @@ class Source:
                 text = message("data.column_of_words", name=name, cell=shortened(cells[row], 60))
                 line = table.lines[row] if table.lines else None
                 raise LogError(text, file=file, line=line)
-        if near := get_close_matches(name, known, 1, 0.6):
-            raise LogError(message("data.no_column_near", name=name, near=near[0]), file=file)
-        there = listed((f"'{item}'" for item in known), 12)
-        raise LogError(message("data.no_column", name=name, there=there), file=file)
+        text = message("data.no_column", name=name, there=listed((f"'{x}'" for x in known), 12))
+        raise LogError(text, file=file, hint=nearest(name, known, "nearest is '{}'"))
 
 
 def with_clock(table: SourceTable) -> SourceTable:

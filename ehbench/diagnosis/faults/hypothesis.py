@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe.sensor import ESTIMATE, Sensor
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults.scales import Scales
 from ehbench.parts.fault import Amount, Fault
 from ehbench.preprocessing.sensors import Term
-from ehbench.vocabulary import Z95, Message, message
+from ehbench.vocabulary import Z95, Message, message, quantity
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import templates
 
@@ -66,7 +66,7 @@ class Number:
     @property
     def signed(self) -> bool:
         """Whether it may be below zero."""
-        return parameter_row(self.name).lower < 0.0
+        return quantity(self.name).lower < 0.0
 
     def begin(self, delta: float) -> float:
         """Where a search begins [SI] that a slope says to end at δ."""

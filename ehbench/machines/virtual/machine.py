@@ -10,7 +10,7 @@ import numpy as np
 
 from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
-from ehbench.machines.protocol import Advance, Inputs, Posture
+from ehbench.machines.protocol import Advance, Posture, Simulated
 from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.machines.virtual.drawing import build, check_names, true_rig
 from ehbench.machines.virtual.laws import bench_tick, edge_flow, play, raw_of
@@ -24,14 +24,14 @@ from ehbench.machines.virtual.plant import (
     scratch_of,
 )
 from ehbench.parts.edge import CHECK, PUMP
-from ehbench.parts.sample import OF, sample_channels
+from ehbench.parts.sample import OF
 from ehbench.parts.valve import valve_settle
 from ehbench.plant.build import Maps, links_of
 from ehbench.plant.layout import layout
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.compiled import bound, kernel
-from ehbench.vocabulary import InputError, SimulationError, message
+from ehbench.vocabulary import InputError, message
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]
@@ -110,7 +110,7 @@ class TrueStrokes:
         row[:] = self._running.scratch.raw[STROKE : A_CYLINDER * self.width : A_CYLINDER]
 
 
-class VirtualMachine:
+class VirtualMachine(Simulated):
     """The virtual bench behind the protocol of a real machine.
 
     ``channels`` names the sample's entries, ``rate`` [Hz] the ticks a second. ``start`` puts it at
@@ -141,14 +141,10 @@ class VirtualMachine:
         seed: int = 0,
     ) -> None:
         recipe = recipe or BenchRecipe(stage="bench", rig="")
-        self.model = Model.of(true_rig(recipe, rig), None, payload)
-        self.rig, self.rate, self.seed = rig, float(rate), seed
-        self.latency = float(recipe.delay)
-        names = self.layout = self.model.layout
-        self.channels, self.commands = sample_channels(names.cylinders), Inputs.of(self.model)
-        check_names(recipe, names)
+        super().__init__(Model.of(true_rig(recipe, rig), None, payload), rate)
+        self.rig, self.seed, self.latency = rig, seed, float(recipe.delay)
+        check_names(recipe, self.layout)
         self.bench = build(recipe, self.model, 1.0 / self.rate)
-        self.strokes = self.bench.cylinders.stroke.copy()
         self.steps = max(1, round(1.0 / (self.rate * step)))
         self.size, self.raw = self.bench.at.states, self.bench.at.channels
         self._begin()
@@ -191,10 +187,6 @@ class VirtualMachine:
         self._used += ticks
         return self._noise[self._used - ticks : self._used]
 
-    def check_posture(self, posture: Posture) -> None:
-        """As `Machine.check_posture`."""
-        self.model.posture(posture)
-
     def carry(self, payload: str | None) -> None:
         """As `carry_of` says."""
         self.bench.links[:] = self.model.links(payload)
@@ -220,14 +212,14 @@ class VirtualMachine:
         sample = np.zeros(len(self.channels))
         for _ in range(max(round(SETTLE * self.rate), bench.delay + 3)):
             self._tick(rest, sample)
-        self._must_be_finite()
+        self.must_be_finite()
         return sample
 
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         sample = np.zeros(len(self.channels))
         self._tick(self.commands.taken(command), sample)
-        self._must_be_finite()
+        self.must_be_finite()
         return sample
 
     def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
@@ -243,17 +235,10 @@ class VirtualMachine:
             row = run(first, stop, running, rows, law, self.noise(stop - first))
             if row >= 0:  # noise that no tick used is the next one's, however long the call was
                 self._used -= stop - row
-            self._must_be_finite()
+            self.must_be_finite()
             return row
 
         return through
-
-    def close(self) -> None:
-        """There is nothing to let go."""
-
-    def _must_be_finite(self) -> None:
-        if not np.isfinite(self.state).all():
-            raise SimulationError(message("machines.not_finite", machine=self.name))
 
     def mean_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
         """`static_flow` in the mean of commands that rise from rest and fall from twice

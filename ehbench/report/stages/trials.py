@@ -13,9 +13,11 @@ from ehbench.report.energy_tables import saving_blocks, supply_blocks
 from ehbench.report.figures import trial as figures
 from ehbench.report.figures.energy import bars
 from ehbench.report.saved import FigureIndex, Saved
-from ehbench.report.stages.trial import draw_case, draw_sankey
+from ehbench.report.stages.trial import draw_case, draw_sankey, trials_findings
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import capital, load_name, pretty, shown, unit_of, words
+
+findings = trials_findings
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
