@@ -82,11 +82,16 @@ def with_additional(
         groups.append(Group(other.path.name, t, channels=dict(result.channels)))
         losses += [f"{other.path.name}: {loss}" for loss in result.losses]
         rates += [result.meta["rates"]] if "rates" in result.meta else []
-    t, channels, brought = joined(groups, losses)
-    if not t.size:
+    together, brought = joined(groups, losses)
+    if not together.t.size:
         raise InputError(message("data.no_common_sample"), file=path)
     meta = record.meta | ({"rates": "; ".join(rates + brought)} if rates + brought else {})
-    return replace(record, t=t, channels=channels, meta=meta, losses=tuple(losses))
+    periods = {
+        k: v for item in (record, *(r for _, r, _ in others)) for k, v in item.periods.items()
+    }
+    periods |= {name: period for name, period in together.periods.items() if name not in periods}
+    record = replace(record, t=together.t, channels=together.channels, periods=periods)
+    return replace(record, meta=meta, losses=tuple(losses))
 
 
 def _began(record: Record) -> str:

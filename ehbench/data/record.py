@@ -63,14 +63,16 @@ class Record:
     ``t`` [s], shape (samples,), strictly increasing; the sample at t is the state at t, and a
     command at t acts from t on. ``channels`` maps names such as ``boom.p_head`` to SI arrays of the
     same shape, in the log's order. ``meta`` are the run's facts as text; ``attachments`` the files
-    that travelled with the log; ``losses`` one sentence for each thing a reader could not recover.
-    """
+    that travelled with the log; ``losses`` one sentence for each thing a reader could not recover;
+    ``periods`` the sample time [s] of channels that were read more slowly than they stand here, on
+    straight lines between their samples."""
 
     t: np.ndarray
     channels: dict[str, np.ndarray]
     meta: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     losses: tuple[str, ...] = ()
+    periods: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, values in self.channels.items():

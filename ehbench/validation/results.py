@@ -271,7 +271,7 @@ class Validation:
                 f"{name} [{quantity(name).unit}]": values for name, values in log.series.items()
             }
             for log in self.logs
-            if log.series
+            if len(log.series) > 1  # where no valve is commanded nothing is compared
         }
 
 

@@ -65,6 +65,7 @@ def test_a_payload_that_a_log_does_not_name_is_named(name, load):
         (CRANE, ("lift.p_head", "lift.p_rod")),
         ("boom_four_valve", ("boom.sh.command", "boom.sr.command")),
         ("thesis_arm", ("swing.servo.command", "stick.servo.command")),
+        ("thesis_arm", ("swing.p_head", "stick.p_head")),
     ],
 )
 def test_channels_in_each_others_place_are_named(name, pair):

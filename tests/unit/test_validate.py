@@ -14,7 +14,7 @@ from ehbench.runs.rundir import read_json, write_json
 from ehbench.validation import Ring, Validation, prepare_validation, run_validation, validate_rig
 from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message
+from ehbench.vocabulary.messages import Message, is_warning
 from tests.shared import judged, shipped
 from tools.virtual_logs import noisy
 
@@ -242,6 +242,10 @@ def test_logs_that_cannot_be_judged_are_said(arm, boom):
     assert "the stroke allows" in result.logs[0].failure
     assert "not evenly sampled" in result.logs[1].failure
     assert "boom.q" in result.logs[0].series and not result.logs[0].passed
+    assert is_warning(result.reasons[0])  # shown without -v
+    still = {n: np.zeros(T.size) for n in boom.channels if n.endswith(".command")}
+    rest = judged(arm, [("rest", Record(boom.t, boom.channels | still, boom.meta))])
+    assert not rest.accepted and rest.series() == {}
     reason = result.reasons[0]
     assert not result.accepted and reason.key == "validation.not_simulated"
     assert reason.fields["log"] == "far" and "boom.q runs from" in reason.fields["reason"]
