@@ -81,7 +81,7 @@ def read_mapped(
     record, rates = joined(groups, losses)
     if check and not record.t.size:
         raise LogError(message("data.no_samples"), file=path)
-    meta = dict(source.meta) | ({"rates": "; ".join(rates)} if rates else {})
+    meta = dict(source.meta) | record.meta | ({"rates": "; ".join(rates)} if rates else {})
     if began is not None:
         meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
     elif daytime is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from ehbench.data.logs.checks import check_time
 from ehbench.data.readers import SourceColumn
-from ehbench.data.record import Record, Window, resampled
+from ehbench.data.record import PERIODS, Record, Window, resampled
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import missing_rows
 from ehbench.vocabulary import LogError, listed, message, plural, quantity, setting
@@ -231,7 +232,8 @@ def joined(groups: Sequence[Group], losses: list[str]) -> tuple[Record, list[str
             noted |= (t > end) & (t[-1] - end <= slack)
         if lost := int((~noted).sum()):
             losses.append(message("data.rows_uncovered", rows=plural(lost, "row")))
-    return Record(t, channels, periods=periods).at(keep), rates
+    facts = {PERIODS: json.dumps(periods)} if periods else {}
+    return Record(t, channels, facts).at(keep), rates
 
 
 def gaps(group: Group, window: Window | None) -> list[str]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Window = tuple[float, float]  # [s] first and last time
 OVERRULED = "data.unit_overruled"
+PERIODS = "periods_of_channels"  # the fact of a record that `Record.periods` reads
 # messages on samples that are interpolated, or that nothing is missing without
 _RECOVERED = (
     *(f"data.{key}" for key in ("samples_bridged", "command_bridged", "samples_missing")),
@@ -63,16 +64,14 @@ class Record:
     ``t`` [s], shape (samples,), strictly increasing; the sample at t is the state at t, and a
     command at t acts from t on. ``channels`` maps names such as ``boom.p_head`` to SI arrays of the
     same shape, in the log's order. ``meta`` are the run's facts as text; ``attachments`` the files
-    that travelled with the log; ``losses`` one sentence for each thing a reader could not recover;
-    ``periods`` the sample time [s] of channels that were read more slowly than they stand here, on
-    straight lines between their samples."""
+    that travelled with the log; ``losses`` one sentence for each thing a reader could not recover.
+    """
 
     t: np.ndarray
     channels: dict[str, np.ndarray]
     meta: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     losses: tuple[str, ...] = ()
-    periods: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, values in self.channels.items():
@@ -129,6 +128,16 @@ class Record:
     def sample_time(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+
+    @cached_property
+    def periods(self) -> dict[str, float]:
+        """The sample time [s] of channels that were read more slowly than they stand here; what is
+        no such table says nothing."""
+        try:
+            known = json.loads(self.meta.get(PERIODS, "{}")).items()
+            return {name: float(period) for name, period in known if 0.0 < period < math.inf}
+        except (ValueError, TypeError, AttributeError):
+            return {}
 
     @cached_property
     def even(self) -> bool:
