@@ -1,5 +1,6 @@
 """Logs that two recorders wrote of one run, brought on one time base."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -7,7 +8,7 @@ from pathlib import Path
 
 from ehbench.config.recipe.columns import ColumnMap
 from ehbench.data.rates import Group, joined
-from ehbench.data.record import Record
+from ehbench.data.record import PERIODS, Record
 from ehbench.vocabulary import InputError, message
 
 _DAY = 86400.0
@@ -82,11 +83,15 @@ def with_additional(
         groups.append(Group(other.path.name, t, channels=dict(result.channels)))
         losses += [f"{other.path.name}: {loss}" for loss in result.losses]
         rates += [result.meta["rates"]] if "rates" in result.meta else []
-    t, channels, brought = joined(groups, losses)
-    if not t.size:
+    together, brought = joined(groups, losses)
+    if not together.t.size:
         raise InputError(message("data.no_common_sample"), file=path)
     meta = record.meta | ({"rates": "; ".join(rates + brought)} if rates + brought else {})
-    return replace(record, t=t, channels=channels, meta=meta, losses=tuple(losses))
+    known = [item.periods for item in (together, record, *(item for _, item, _ in others))]
+    if periods := {name: period for each in known for name, period in each.items()}:
+        meta |= {PERIODS: json.dumps(periods)}
+    record = replace(record, t=together.t, channels=together.channels)
+    return replace(record, meta=meta, losses=tuple(losses))
 
 
 def _began(record: Record) -> str:

@@ -79,15 +79,15 @@ def read_mapped(
         groups[index] = _in_time(group, columns)
     for group in groups:
         losses += gaps(group, window)
-    t, channels, rates = joined(groups, losses)
-    if check and not t.size:
+    record, rates = joined(groups, losses)
+    if check and not record.t.size:
         raise LogError(message("data.no_samples"), file=path)
-    meta = dict(source.meta) | ({"rates": "; ".join(rates)} if rates else {})
+    meta = dict(source.meta) | record.meta | ({"rates": "; ".join(rates)} if rates else {})
     if began is not None:
         meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
     elif daytime is not None:
         meta["time_of_day"] = f"{daytime:.6f}"
-    return Record(t, channels, meta, losses=tuple(losses))
+    return replace(record, meta=meta, losses=tuple(losses))
 
 
 def dialect_of(columns: ColumnMap | None) -> Dialect:
@@ -324,7 +324,7 @@ def clean(
             raise LogError(text, file=path, line=line, hint=hint)
         rows, lines = plural(lost.size, "row"), lines_text(group, lost)
         losses.append(message("data.rows_without_time", rows=rows, lines=lines))
-    gone = ~timed
+    gone, found = ~timed, {}
     for channel, values in group.channels.items():
         travel = columns.travels.get(channel)
         bad = is_bad(channel, values, travel)
@@ -338,9 +338,16 @@ def clean(
             good = {channel: values[~bad]}
             values[bridged] = resampled(good, count[~bad], count[bridged])[channel]
         gone |= bad & ~bridged & inside
+        found[channel] = at
         for some, is_bridged in ((at[bridged[at]], True), (at[~bridged[at]], False)):
             if some.size:
                 losses.append(_left_out(channel, group, t, some, is_bridged))
+    if gone[inside].all() and found:
+        worst = max(found, key=lambda name: found[name].size)
+        at = int(found[worst][0])
+        error = _bad_sample(group, worst, at, path, columns.travels.get(worst))
+        hint = message("data.none_left", column=group.columns[worst].name)
+        raise type(error)(error.message, file=path, line=error.line, hint=hint)
     return group.taken(np.flatnonzero(~gone)) if gone.any() else group
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from ehbench.data.logs.checks import check_time
 from ehbench.data.readers import SourceColumn
-from ehbench.data.record import Window, resampled
+from ehbench.data.record import PERIODS, Record, Window, resampled
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import missing_rows
 from ehbench.vocabulary import LogError, listed, message, plural, quantity, setting
@@ -197,13 +198,12 @@ def _take_turns(item: np.ndarray, other: np.ndarray) -> bool:
     return inside >= SETTINGS.fewest and int((item & other).sum()) <= SETTINGS.shared * inside
 
 
-def joined(
-    groups: Sequence[Group], losses: list[str]
-) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
-    """(time [s], all channels, a note on each other rate) on the time base of the fastest table;
-    readings of the others lie on straight lines between their samples, commands are held. Rows that
-    not all tables have values for are left out, and ``losses`` says so."""
+def joined(groups: Sequence[Group], losses: list[str]) -> tuple[Record, list[str]]:
+    """(all channels, a note on each other rate) on the time base of the fastest table; readings of
+    the others lie on straight lines between their samples, commands are held. Rows that not all
+    tables have values for are left out, and ``losses`` says so."""
     rates: list[str] = []
+    periods: dict[str, float] = {}
     base = min(groups, key=lambda group: group.period)
     t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)
     for group in groups:
@@ -224,6 +224,7 @@ def joined(
         if abs(group.period - base.period) > 0.01 * base.period:
             rate, to = 1 / group.period, 1 / base.period
             rates.append(message("data.other_rate", group=group.title, rate=rate, base=to))
+            periods |= dict.fromkeys(values, group.period)
     if not keep.all():
         slack, noted = max(group.period for group in groups), keep
         if keep.any():  # tables begin and end a sample of the slowest apart, which is no loss
@@ -232,8 +233,8 @@ def joined(
             noted |= (t > end) & (t[-1] - end <= slack)
         if lost := int((~noted).sum()):
             losses.append(message("data.rows_uncovered", rows=plural(lost, "row")))
-        t, channels = t[keep], {name: values[keep] for name, values in channels.items()}
-    return t, channels, rates
+    facts = {PERIODS: json.dumps(periods)} if periods else {}
+    return Record(t, channels, facts).at(keep), rates
 
 
 def gaps(group: Group, window: Window | None) -> list[str]:

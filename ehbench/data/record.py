@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Window = tuple[float, float]  # [s] first and last time
 OVERRULED = "data.unit_overruled"
+PERIODS = "periods_of_channels"  # the fact of a record that `Record.periods` reads
 # messages on samples that are interpolated, or that nothing is missing without
 _RECOVERED = (
     *(f"data.{key}" for key in ("samples_bridged", "command_bridged", "samples_missing")),
@@ -127,6 +128,16 @@ class Record:
     def sample_time(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+
+    @cached_property
+    def periods(self) -> dict[str, float]:
+        """The sample time [s] of channels that were read more slowly than they stand here; what is
+        no such table says nothing."""
+        try:
+            known = json.loads(self.meta.get(PERIODS, "{}")).items()
+            return {name: float(period) for name, period in known if 0.0 < period < math.inf}
+        except (ValueError, TypeError, AttributeError):
+            return {}
 
     @cached_property
     def even(self) -> bool:

@@ -53,9 +53,15 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
 
 
 def is_astray(case: Case, left: np.ndarray) -> bool:
-    """Whether what a model leaves of a log is a good part of what the log shows at all."""
-    spread = sum(y.size * (np.std(y) / case.scales[name]) ** 2 for name, y in case.recorded.items())
-    return total([left]) > ASTRAY**2 * float(spread)
+    """Whether what a model leaves of a cylinder is a good part of what the log shows of it."""
+    sums: dict[str, np.ndarray] = {}
+    for (name, y), part in zip(
+        case.recorded.items(), np.split(left, len(case.recorded)), strict=True
+    ):
+        spread = y.size * (np.std(y) / case.scales[name]) ** 2
+        owner = name.partition(".")[0]
+        sums[owner] = sums.get(owner, 0.0) + np.array([total([part]), spread])
+    return any(rest > ASTRAY**2 * spread for rest, spread in sums.values())
 
 
 def _left(case: Case) -> np.ndarray | None:
@@ -95,13 +101,19 @@ def _carrying(case: Case) -> Iterator[Otherwise]:
 
 
 def _exchanged(case: Case) -> Iterator[Otherwise]:
-    """A log with two of its channels exchanged: pressures of a cylinder, or the commands of two
-    valves, of two cylinders those of one name. A turned motion is tried beside them, which the
-    preparation of a log tells.
+    """A log with two of its channels exchanged: pressures of a cylinder, or of one end of two, or
+    the commands of two valves, of two cylinders those of one name. A turned motion is tried beside
+    them, which the preparation of a log tells.
     """
     record, rig = case.record, case.model.rig
     valves = [(cylinder.name, valve.name) for cylinder, valve in rig.valves()]
     pairs = [(f"{name}.p_head", f"{name}.p_rod") for name in case.cylinders]
+    pairs += [
+        (f"{one.name}.{end}", f"{other.name}.{end}")
+        for one, other in combinations(rig.cylinder, 2)
+        for end in ("p_head", "p_rod")
+        if {one.name, other.name} & {*case.cylinders}
+    ]
     pairs += [
         (f"{owner}.{first}.command", f"{other}.{second}.command")
         for (owner, first), (other, second) in combinations(valves, 2)

@@ -79,15 +79,16 @@ def noise_of(record: Record, channel: str, each: int = 1) -> float:
     """Standard deviation of white noise in a channel [SI], or in means of ``each`` samples of it,
     by third differences; of a rate from a position, by that position's."""
     position = position_of(channel)
-    if channel in record or position not in record:
-        return white_noise(record[channel]) / math.sqrt(each)
-    pulse = np.zeros(record.t.size)
-    pulse[record.t.size // 2] = 1.0
-    answer = column(replace(record, channels={position: pulse}), channel, record)
-    if answer is None:
-        return 0.0
-    means = np.convolve(answer, np.full(each, 1.0 / each))
-    return white_noise(record[position]) * float(np.linalg.norm(means))
+    read = channel if channel in record or position not in record else position
+    period = record.periods.get(read)
+    apart = int(np.clip(period / record.sample_time + 0.5, 1, record.t.size)) if period else 1
+    noise = white_noise(record[read], apart)
+    count = np.arange(record.t.size)  # a sample is a triangle on what is interpolated
+    pulse = np.maximum(0.0, 1.0 - np.abs(count - count.size // 2) / apart)
+    answer = column(replace(record, channels={read: pulse}), channel, record)
+    assert answer is not None  # the record has what it is from
+    means = np.convolve(answer, np.full(each, 1.0 / each)) / math.sqrt(apart)
+    return noise * float(np.linalg.norm(means))
 
 
 def position_of(channel: str) -> str:

@@ -17,6 +17,7 @@ from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
+from ehbench.preprocessing.observations import noise_of
 from ehbench.signals.series import white_noise
 from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
@@ -122,7 +123,7 @@ def begins_elsewhere(record: Record, model: Model, rest: int) -> Iterator[Messag
         if channel not in record or model.starts(channel):
             continue
         seen, begins = float(np.mean(record[channel][: max(rest, 1)])), float(first[channel][0])
-        noise, spread = white_noise(record[channel]), float(np.std(record[channel]))
+        noise, spread = noise_of(record, channel), float(np.std(record[channel]))
         if abs(begins - seen) > max(SETTINGS.noises * noise, SETTINGS.worth * spread):
             ends = {"begins": begins, "seen": seen}
             shown = {key: model.rig.shown(channel, value) for key, value in ends.items()}
@@ -134,7 +135,7 @@ def _coarse(record: Record, model: Model) -> Iterator[Message]:
     for index, row in enumerate(model.plant.cylinders):
         cylinder = model.layout.cylinders[index]
         channel = position_channel(record, cylinder)
-        noise = white_noise(record[channel]) if channel else 0.0
+        noise = noise_of(record, channel) if channel else 0.0
         x = 0.5 * float(row.stroke)
         lever = linkage_arrays(row, np.array([joint_of(row, x)]))[1][0]
         noise *= 1.0 if channel == f"{cylinder}.x" else abs(float(lever))

@@ -89,6 +89,8 @@ def remedy_step(remedy: str) -> Message:
         return message("steps.rig", line=block)
     if freed := re.match(r'add ("[^\[\]]+") to parameters', remedy):
         return message("steps.free", line=freed[1])
+    if getattr(remedy, "key", "") == "faults.fitted":
+        return message("steps.fit_again", names=getattr(remedy, "fields", {})["names"])
     if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", remedy):
         return message("steps.sense", line=sensed[1].replace(", ", "\n"))
     if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):

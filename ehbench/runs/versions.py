@@ -15,11 +15,11 @@ METHODS: Mapping[str, int] = {
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
-    "output_error": 14,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 15,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 4,
-    "diagnosis": 13,
-    "validation": 12,
+    "diagnosis": 14,
+    "validation": 13,
     "control": 4,  # controllers and their monitor
     "tuning": 5,
     "trial": 2,  # the loop and what is measured of it

@@ -84,12 +84,15 @@ def rms(y: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(y)))) if y.size else math.nan
 
 
-def white_noise(y: np.ndarray) -> float:
+def white_noise(y: np.ndarray, each: int = 1) -> float:
     """Standard deviation of the white part of a signal, in its unit; 0 of less than four samples.
+    Of one that is interpolated, that of the samples, which stand in every ``each``-th place.
 
     Of white noise the third difference y₀ − 3y₁ + 3y₂ − y₃ has the variance (1 + 9 + 9 + 1) σ²,
     and a motion that is smooth over four samples hardly any."""
-    return float(np.sqrt(np.mean(np.diff(y, 3) ** 2) / 20.0)) if y.size > 3 else 0.0
+    taken = [y[first::each] for first in range(each)]  # a mean of two samples has less of it
+    squares = (np.mean(np.diff(some, 3) ** 2) for some in taken if some.size > 3)
+    return float(np.sqrt(max(squares, default=0.0) / 20.0))
 
 
 def first_of(y: np.ndarray, count: int) -> float:

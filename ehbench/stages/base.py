@@ -299,9 +299,9 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
 
 def write_series(folder: Path, series: Sequence[tuple[str, Mapping[str, np.ndarray]]]) -> None:
     """One CSV log for each recording: ``<name>.csv`` with columns named ``t [s]``, ``boom.q [rad]``
-    (recorded) and ``simulated.boom.q [rad]``, in SI."""
+    (recorded) and ``simulated.boom.q [rad]``, in SI; none where nothing is compared."""
     folder.mkdir()
-    for name, columns in (pair for pair in series if pair[1]):
+    for name, columns in (pair for pair in series if len(pair[1]) > 1):
         table = np.column_stack(list(columns.values()))
         header = ",".join(f"{channel} [{quantity(channel).unit}]" for channel in columns)
         np.savetxt(folder / f"{name}.csv", table, "%.9g", ",", header=header, comments="")

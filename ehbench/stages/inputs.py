@@ -314,25 +314,23 @@ class Inputs:
             text = message("stages.no_force", rig=rig.name, **fields)
             raise InputError(text, **self.recipe.at("data", index))
         low, high = span_of(item)
-        inside = (record.t >= low) & (record.t <= high)
-        if inside.sum() < 3 <= record.t.size:
+        part = record.between(low, high)
+        if part.t.size < 3 <= record.t.size:
             first, last = float(record.t[0]), float(record.t[-1])
             text = message("stages.empty_window", low=low, high=high, first=first, last=last)
             raise InputError(text, file=path)
         without = (TIED, SUPPLY, *(["payload_change"] if item.payload else []))
         facts = {name: fact for name, fact in record.meta.items() if name not in without}
         facts |= {"payload": item.payload} if item.payload else {}
-        channels = {name: values[inside] for name, values in record.channels.items()}
-        channels |= {
-            name: np.full(inside.sum(), float(force)) for name, force in item.force.items()
-        }
+        forced = {name: np.full(part.t.size, float(force)) for name, force in item.force.items()}
+        channels = part.channels | forced
         for key, default in ((TIED, "none"), (SUPPLY, "model")):
             choice = getattr(item, key, None) or getattr(self.recipe, key, default)
             facts |= {} if choice == default else {key: choice}
         if facts.get(SUPPLY) == RECORDED and "p_supply" not in channels:
             text = message("stages.no_supply", name=item.path)
             raise InputError(text, **self.recipe.at("data", index))
-        return type(record)(record.t[inside], channels, facts, record.attachments, record.losses)
+        return replace(part, channels=channels, meta=facts)
 
     def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
         """The map of columns of an entry of ``data``, else that of the recipe."""

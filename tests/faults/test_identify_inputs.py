@@ -22,7 +22,7 @@ from ehbench.report.terminal import Answer
 from ehbench.validation import models_of, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import of_log
+from ehbench.vocabulary.messages import is_warning, of_log
 from tests.shared import RIGS, identify, judged, measured, shipped
 
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
@@ -279,6 +279,7 @@ def test_a_fit_that_follows_nothing_is_no_fit():
     poor = [name for name, percent in fit.logs[0].fit_percent.items() if percent < 0.0]
     loud = fit.warnings[0]
     assert 0 < len(poor) < 3 and loud.key == "identification.does_not_follow"
+    assert is_warning(loud)  # shown without -v
     assert (loud.fields["poor"], loud.fields["all"]) == (len(poor), 3)
     assert all(f"log: {name}" in loud.fields["worst"] for name in poor)
 

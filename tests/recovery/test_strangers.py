@@ -8,7 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import workflow
+from ehbench import load_rig, workflow
+from ehbench.config.recipe.columns import load_columns
+from ehbench.data import read
+from ehbench.data.additional import AdditionalFile
+from ehbench.validation import validate_rig
 from tests.shared import RECIPES, result
 from tests.strangers import LOADER, PRESS, logs_of
 
@@ -74,3 +78,31 @@ def test_a_wrong_model_of_a_stranger_is_led_to_the_right_one(
     assert found == pytest.approx(truth, rel=0.025)
     assert result("judge_better", "validation")["verdict"] == "accepted"
     assert len(readme.split()) < 300
+
+
+@pytest.mark.slow
+def test_a_slow_position_hides_no_friction_from_fast_pressures(tmp_path):
+    """The loader's stroke from a second recorder, at 50 Hz: its noise is that of 50 Hz."""
+    lines = (RECIPES / "loader/run_3.csv").read_text().splitlines()
+    rows = [line.split(";") for line in lines]
+    fast, slow = tmp_path / "fast.csv", tmp_path / "slow.csv"
+    fast.write_text("\n".join(";".join((row[0], row[1], *row[4:])) for row in rows))
+    slow.write_text("\n".join(";".join((row[0], row[2])) for row in (rows[0], *rows[1::20])))
+    maps = RECIPES / "loader/daq.map.toml"
+    for file, gone in ((fast, ("x (", "v (")), (slow, ("u (", "v (", "PA", "PB"))):
+        kept = [
+            line
+            for line in maps.read_text().splitlines()
+            if not line.startswith(tuple(f'"{g}' for g in gone))
+        ]
+        file.with_suffix(".toml").write_text("\n".join(kept))
+    other = AdditionalFile(slow, load_columns(slow.with_suffix(".toml")), shared_clock=False)
+    record = read(fast, fast.with_suffix(".toml"), additional=[other])
+    truth = STRANGERS["loader"][0]
+    rig = load_rig(RECIPES / "loader/better_rig.toml").with_values(truth)
+    assert validate_rig(rig, [("run", record)]).verdict == "accepted"
+    coulomb = "lift.friction_coulomb"
+    verdict = validate_rig(rig.with_values({coulomb: 1.3 * truth[coulomb]}), [("run", record)])
+    first = verdict.structure.findings[0]
+    assert (verdict.verdict, first.kind) == ("accepted with reservation", "friction")
+    assert first.sentence.fields["value"] == "400 N"

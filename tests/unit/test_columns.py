@@ -167,6 +167,19 @@ def test_a_file_is_refused_with_its_line_and_what_would_be_right(name, tmp_path)
     assert quoted in str(caught.value)
 
 
+def test_a_channel_of_which_nothing_is_left_is_named(tmp_path):
+    """Such as psi that are called bar: also where bad samples are left out."""
+    names = 'bad_samples = "leave out"\n[names]\n' + TIME + HEAD
+    lines = [f"{i / 1000:.3f};50000;0" for i in range(200)]
+    path, columns = write(tmp_path, [*lines[:100], *rows()[100:]], names)
+    assert read(path, columns=columns).t.size == 100
+    path, columns = write(tmp_path, lines, names)
+    with pytest.raises(InputError) as caught:
+        read(path, columns=columns)
+    assert (caught.value.key, caught.value.line) == ("data.bad_value", 2)
+    assert "column 'A'" in str(caught.value.hint)
+
+
 def test_a_column_without_numbers_is_named_with_what_it_holds(tmp_path):
     path, columns = write(tmp_path, [row.replace(";5", ";5 ") for row in rows()])
     with pytest.raises(LogError, match=r"a.csv:2: column 'A' holds no numbers: '5 0'"):

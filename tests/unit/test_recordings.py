@@ -10,9 +10,10 @@ import pytest
 from ehbench.diagnosis import Case, misread, recordings
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
+from ehbench.report.content import remedy_step
 from ehbench.report.stages.validation import doubts
 from ehbench.validation import speaking_against, validate_rig
-from ehbench.vocabulary.messages import Message
+from ehbench.vocabulary.messages import Message, message
 from tests.shared import identify, shipped
 from tools.virtual_logs import virtual_log
 
@@ -65,6 +66,7 @@ def test_a_payload_that_a_log_does_not_name_is_named(name, load):
         (CRANE, ("lift.p_head", "lift.p_rod")),
         ("boom_four_valve", ("boom.sh.command", "boom.sr.command")),
         ("thesis_arm", ("swing.servo.command", "stick.servo.command")),
+        ("thesis_arm", ("swing.p_head", "stick.p_head")),
     ],
 )
 def test_channels_in_each_others_place_are_named(name, pair):
@@ -160,6 +162,13 @@ def test_steps_come_in_the_order_of_what_speaks_for_them():
     texts = [Message("", "", {"remedy": name} | more) for name, more in given.items()]
     order = [item["remedy"] for item in doubts({"reasons": texts[:2], "reservations": texts[2:]})]
     assert order == ["exchanged", "turned", "cause", "supply", "fixed"]
+
+
+def test_a_number_that_was_fitted_wrong_is_a_step_to_take():
+    """Else an alternative that explains less would stand first."""
+    (name,) = names = ["lift.friction_coulomb"]
+    step = remedy_step(message("faults.fitted", names=name))
+    assert (step.key, step.hint.split()) == ("steps.fit_again", names)
 
 
 def test_a_fixed_number_that_rejects_comes_before_a_cause_that_moves_none():

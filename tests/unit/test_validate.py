@@ -15,7 +15,7 @@ from ehbench.stages.base import write_series
 from ehbench.validation import Ring, Validation, prepare_validation, run_validation, validate_rig
 from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message
+from ehbench.vocabulary.messages import Message, is_warning
 from tests.shared import judged, shipped
 from tools.virtual_logs import noisy
 
@@ -235,7 +235,7 @@ def test_a_stroke_sensor_stands_in_for_a_joint_encoder(arm, boom):
     assert {c.channel for c in bare.logs[0].channels} == {"boom.v", "boom.p_head"}
 
 
-def test_logs_that_cannot_be_judged_are_said(arm, boom):
+def test_logs_that_cannot_be_judged_are_said(arm, boom, tmp_path):
     far = Record(boom.t, boom.channels | {"boom.q": boom["boom.q"] + 2.0}, boom.meta)
     keep = np.delete(np.arange(T.size), 700)
     gap = Record(boom.t[keep], {n: v[keep] for n, v in boom.channels.items()}, boom.meta)
@@ -244,6 +244,12 @@ def test_logs_that_cannot_be_judged_are_said(arm, boom):
     assert "the stroke allows" in result.logs[0].failure
     assert "not evenly sampled" in result.logs[1].failure
     assert "boom.q" in result.logs[0].series and not result.logs[0].passed
+    assert is_warning(result.reasons[0])  # shown without -v
+    still = {n: np.zeros(T.size) for n in boom.channels if n.endswith(".command")}
+    rest = judged(arm, [("rest", Record(boom.t, boom.channels | still, boom.meta))])
+    assert not rest.accepted
+    write_series(tmp_path / "series", [(log.name, log.series) for log in rest.logs])
+    assert not any((tmp_path / "series").iterdir())  # nothing is compared
     reason = result.reasons[0]
     assert not result.accepted and reason.key == "validation.not_simulated"
     assert reason.fields["log"] == "far" and "boom.q runs from" in reason.fields["reason"]
