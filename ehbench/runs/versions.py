@@ -21,7 +21,7 @@ METHODS: Mapping[str, int] = {
     "diagnosis": 13,
     "validation": 12,
     "control": 4,  # controllers and their monitor
-    "tuning": 5,
+    "tuning": 6,
     "trial": 2,  # the loop and what is measured of it
     "ledger": 3,
     "sampling": 2,  # designs of studies and their statistics
