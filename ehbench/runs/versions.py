@@ -16,7 +16,7 @@ METHODS: Mapping[str, int] = {
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
     "output_error": 14,  # identification, its intervals, what `--suggest` and profiles tell
-    "log_decrement": 1,  # identification by frequency and decay
+    "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 4,
     "diagnosis": 13,
     "validation": 12,
