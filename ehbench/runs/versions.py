@@ -23,7 +23,7 @@ METHODS: Mapping[str, int] = {
     "control": 4,  # controllers and their monitor
     "tuning": 6,
     "trial": 2,  # the loop and what is measured of it
-    "ledger": 3,
+    "ledger": 4,
     "sampling": 2,  # designs of studies and their statistics
 }
 
