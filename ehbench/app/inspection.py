@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,11 @@ from ehbench.stages import Stage, stage_of
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
-from ehbench.vocabulary import from_si, message, plural, quantity
+from ehbench.vocabulary import Message, from_si, message, plural, quantity
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
 from ehbench.vocabulary.messages import ranked
 from ehbench.vocabulary.text import shortened_path
+from ehbench.vocabulary.units import fitting
 from ehbench.workflow import ROOT
 
 
@@ -147,6 +149,13 @@ def _rig(path: Path) -> Inspection:
     notes: list[str] = []
     if rig.model is not None:
         notes.append(message("stages.fmu_is_code", fmu=rig.model.fmu))
+    for name, value in rig.parameters().items():
+        row = quantity(name)
+        if value.text is not None and not row.usual[0] <= float(value) <= row.usual[1]:
+            shown = dict(zip(("low", "value", "high"), (row.usual[0], float(value), row.usual[1])))
+            fields = {key: value.like(row.name, number) for key, number in shown.items()}
+            fits = fitting(float(value), value.unit or row.unit, row)
+            notes.append(message("app.unusual", name=name, fits=fits, **fields))
     for cylinder in rig.cylinder:  # unusual, but at times meant
         edges = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
         connected = {end for edge in edges for end in (edge.from_, edge.to)}
@@ -172,17 +181,15 @@ def _rig(path: Path) -> Inspection:
     return Inspection((*lines, "ok"), of_rig=tuple(notes))
 
 
-def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
+def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
     """(a line for each cylinder: its range, its pressures at mid-stroke; remarks)."""
     from ehbench.plant.model import Model
-    from ehbench.plant.rest import CREEPS, LOW_SIDE
+    from ehbench.plant.rest import CREEPS
 
     whole, _ = with_orifices(rig, None)
-    supply = float(rig.supply.pressure)
     model = Model.of(whole, payload=load)
     state = model.trim(model.posture({}))
-    unlimited = model.trim(model.posture({}), LOW_SIDE * supply)  # what the load requires
-    lines, notes = [], []
+    lines = []
     for index, cylinder in enumerate(rig.cylinder):
         word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
         first, last = (rig.text(word, value, decimals) for value in model.stroke_range(index))
@@ -195,9 +202,11 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
             direction = "out" if speed > 0.0 else "in"
             text += f", creeping {direction} at {rig.shown('v', abs(speed), 2)}"
         lines.append(text)
-        if unlimited[places].max() > supply and cylinder.pump is None:
-            notes.append(message("app.weak_supply", **fields))
-    return lines, notes
+    each = min(9, max(2, int(200 ** (1 / len(rig.cylinder)))))  # some 200 postures of all together
+    ends = [np.linspace(*model.stroke_range(index), each) for index in range(len(rig.cylinder))]
+    postures = np.tile(model.posture({}), (each ** len(ends), 1))
+    postures[:, model.plant.cylinders.joint] = list(product(*ends))
+    return lines, list(model.weak_supply(load, postures))
 
 
 def _map(path: Path) -> Inspection:

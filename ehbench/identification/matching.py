@@ -2,8 +2,9 @@
 (thesis 2.3)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ehbench.identification.simulator import Log, Simulator
 from ehbench.preprocessing.observations import SETTINGS as OBSERVATION
 from ehbench.preprocessing.observations import least_change, rings_clearly
 from ehbench.signals.series import Ringing, ringing, ringing_like, rms, transients
-from ehbench.vocabulary import InputError, InsufficientData, Progress, message, setting
+from ehbench.vocabulary import Z95, InputError, InsufficientData, Progress, message, setting
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,9 @@ class _Stand:
 
 class Matching:
     """The thesis's way (2.3): bulk modulus from the frequency of the ringing, then damping from its
-    decay, and again."""
+    decay, and again; with other values of some ``fixed`` numbers, which are no parameters."""
+
+    fixed: Mapping[str, float] = MappingProxyType({})
 
     def __init__(
         self, simulator: Simulator, search: list[Coordinate], progress: Progress, maximum: int
@@ -136,7 +139,8 @@ class Matching:
         """How the simulation rings in each window, seen as the recording was; the search starts
         where it rang before."""
         values = [c.at(x) for c, x in zip(self.search, theta, strict=True)]
-        (row,) = self.simulator.simulate([values])
+        given = [*values, *self.fixed.values()]
+        (row,) = self.simulator.beside(self.fixed).simulate([given])
         result = []
         for k, window in enumerate(self.windows):
             simulated = row[window.log]
@@ -244,20 +248,39 @@ class Matching:
                 slope[a, b] = np.nanmedian(change) if np.isfinite(change).any() else 0.0
         return slope
 
+    def _fixed(self, stand: _Stand) -> np.ndarray:
+        """The standard error of each theta that those of fixed numbers and maps cause: half of what
+        the matching moves from one end of each to the other."""
+        theta, live, rounds, moves = self.theta.copy(), self.live, self.rounds, []
+        for name, (value, std) in self.simulator.fixed_errors().items():
+            ends = []
+            for self.fixed in ({name: value + std}, {name: value - std}):
+                self._stand(stand.rings)
+                ends.append(self.theta)
+                self.theta, self.live, self.rounds = theta.copy(), live, rounds
+            moves.append(0.5 * (ends[0] - ends[1]))
+        self.fixed = {}
+        return np.linalg.norm([np.zeros(theta.size), *moves], axis=0)
+
     def _result(
         self, stand: _Stand | None, result: dict[int, tuple[float, float, int]], converged: bool
     ) -> HydraulicsFit:
         warnings, fitted, matches = [], [], []
+        off = self._fixed(stand) if stand is not None else self.theta
         if not converged:
             warnings.append(message("identification.still_moving", rounds=self.rounds))
         for i, c in enumerate(self.search):
             entry = not_excited(c, 0)
             if stand is not None and i in self.live:
-                std, quantile, count = result[i]
-                real, ends = c.spread(self.theta[i], std, quantile)
+                scatter, quantile, count = result[i]
+                std = math.hypot(scatter, off[i])
+                # few windows say little of their scatter, and nothing of the other error
+                wide = math.hypot(quantile * scatter, Z95 * off[i]) / std if std > 0.0 else quantile
+                real, ends = c.spread(self.theta[i], std, wide)
                 status = "at_bound" if i in stand.at_bound else "estimated"
                 entry = replace(entry, value=c.at(self.theta[i]), std=real, interval=ends)
                 entry = replace(entry, status=status, samples=count, error_from="windows")
+                entry = replace(entry, from_fixed=(off[i] / std) ** 2 if std > 0.0 else 0.0)
             fitted.append(entry)
         if stand is None or all(item.status == "not_excited" for item in fitted):
             names = ", ".join(c.name for c in self.search)

@@ -107,9 +107,9 @@ def travels(x: np.ndarray, apart: float) -> tuple[float, float]:
 def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None) -> Bounds:
     """What a record's motion of a cylinder must cost on a constant-pressure supply, and did cost.
 
-    With Ps the pressure of the supply while the cylinder moves (the set one where it is not
-    measured), L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load that the head
-    end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six
+    With Ps the pressure of the supply while the cylinder moves that way (the set one where it is
+    not measured), L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load on the
+    head end: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six
     ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+ + A2 L−)``.
 
     The record has ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder, the ledger of the
@@ -132,16 +132,19 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         raise InsufficientData(message("ledger.did_not_move", cylinder=cylinder))
     head, rod = item.areas()
     force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
-    supply = float(rig.supply.pressure)
-    if "p_supply" in record:  # a pump's compensator gives way under flow
-        supply = float(np.average(record["p_supply"][1:], weights=np.abs(np.diff(x))))
+    supply, each = float(rig.supply.pressure), np.full(2, float(rig.supply.pressure))
+    if "p_supply" in record:  # a pump's compensator gives way under flow, an accumulator runs down
+        pressure, steps = record["p_supply"][1:], np.diff(x)
+        gone = np.maximum([steps, -steps], 0.0)
+        supply = float(np.average(pressure, weights=np.abs(steps)))
+        each = gone @ pressure / np.maximum(gone.sum(axis=1), 1e-300)
     carries, work, prices = _load(record.t, x, force, supply, (head, rod))
-    paid = {name: supply * (a * ways[0] + b * ways[1]) for name, (a, b) in prices.items()}
+    paid = {name: float(each * areas @ ways) for name, areas in prices.items()}
     used = None if ledger is None else ledger[f"{cylinder}.drawn"].energy
     retained = supply * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
     back, against, beyond = abs(ways[0] - ways[1]) <= SETTINGS.closed * max(ways), "", ()
     if ledger is not None:
-        against, beyond = _beyond(rig, record, item, x, prices, supply, ways, ledger)
+        against, beyond = _beyond(rig, record, item, x, prices, each, ways, ledger)
     return Bounds(
         cylinder=cylinder,
         travel_out=ways[0],
@@ -188,7 +191,7 @@ def _beyond(
     item: Cylinder,
     x: np.ndarray,
     prices: dict[str, tuple[float, float]],
-    supply: float,
+    supply: np.ndarray,
     ways: tuple[float, float],
     ledger: Ledger,
 ) -> tuple[str, tuple[Beyond, ...]]:
@@ -200,7 +203,7 @@ def _beyond(
     regains = any(name.endswith("overrunning_regeneration") for name in at_work)
     lifts = FUNCTIONS[EXTEND_RESISTIVE_REGENERATION] in at_work and "seventh" in prices
     against = "seventh" if lifts else "six" if regains else "standard"
-    price = [supply * area for area in prices[against]]
+    price = supply * prices[against]
     squeezed, drawn = _squeezed(rig, record, item, x), ledger.functions[item.name]
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]

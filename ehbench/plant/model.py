@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -27,7 +28,7 @@ from ehbench.plant.ties import late_of, supplied, tied_words, ties_of
 from ehbench.plant.trim import LowSide, carry, settle_parts, start_key
 from ehbench.plant.valves import acting_commands
 from ehbench.signals.series import first_of
-from ehbench.vocabulary import VOCABULARY, InputError, LogError, SimulationError, message
+from ehbench.vocabulary import VOCABULARY, InputError, LogError, Message, SimulationError, message
 from ehbench.vocabulary.fields import read_value
 
 FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
@@ -216,6 +217,33 @@ class Model:
         y[plant.at.supply] = sensed(plant.tank_pressure, plant.supply)
         settle_parts(plant, y)
         return y
+
+    def weak_supply(self, load: str | None, postures: np.ndarray) -> Iterator[Message]:
+        """Notes on cylinders without a pump whose load at rest is more than their areas under the
+        supply's pressure give in one of ``postures``, each in its worst.
+
+        Args:
+            load: name of the payload that it carries.
+            postures: joint coordinates [rad or m], shape (postures, joints)."""
+        table, names = self.plant.cylinders, self.layout
+        supply, tank = float(self.plant.supply.pressure), self.plant.tank_pressure
+        states = np.array([self.trim(q, 0.0) for q in postures])
+        for index, row in enumerate(table):
+            ends = [states[:, names.state(f"p_{side}", index)] for side in SIDES]
+            force = ends[0] * row.area_head - ends[1] * row.area_rod
+            out, back = (
+                supply * a - tank * b for a, b in permutations((row.area_head, row.area_rod))
+            )
+            limit = np.where(force > 0.0, out, back)
+            worst = int(np.argmax(np.abs(force) - limit))
+            if self.rig.cylinder[index].pump is None and abs(force[worst]) > limit[worst]:
+                places = [linkage_of(each, postures[worst, each.joint])[0] for each in table]
+                at = (f"{n} {self.rig.shown('x', x, 3)}" for n, x in zip(names.cylinders, places))
+                sizes = {"need": abs(force[worst]), "limit": limit[worst]}
+                fields = {key: self.rig.shown("force", size, 3) for key, size in sizes.items()}
+                fields |= {"cylinder": names.cylinders[index], "at": ", ".join(at)}
+                fields["load"] = load or "no payload"
+                yield message("plant.weak_supply", **fields)
 
     def creep(self, index: int, state: np.ndarray) -> float:
         """Speed [m/s] of a cylinder, out positive, at a state of `trim` while its valves are at

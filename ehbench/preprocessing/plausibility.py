@@ -22,12 +22,11 @@ from ehbench.signals.series import white_noise
 from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
 from ehbench.vocabulary.quantities import GAUGES
-from ehbench.vocabulary.units import factor
+from ehbench.vocabulary.units import MIXED, factor
 
 LEAST_SAMPLES = 3
 _MOTION, _ENDS = ("q", "x", "qd", "v"), ("p_head", "p_rod")
 LIMITED = ("Pa", "N")  # units of channels whose sensors may stand at the end of their range
-_MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
 
 
 @dataclass(frozen=True)
@@ -274,7 +273,7 @@ def refuse_supply(name: str, record: Record, model: Model) -> None:
     if minimum / SETTINGS.apart <= seen <= supply * SETTINGS.apart:
         return
     ratio, misses = max(seen, 1.0) / supply, []
-    for a, b in permutations(_MIXED, 2):
+    for a, b in permutations(MIXED["Pa"], 2):
         misses.append((abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b))
     miss, a, b = min(misses)
     fields = {key: rig.shown("p_head", p, 3) for key, p in (("seen", seen), ("supply", supply))}

@@ -16,14 +16,14 @@ METHODS: Mapping[str, int] = {
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
     "output_error": 15,  # identification, its intervals, what `--suggest` and profiles tell
-    "log_decrement": 1,  # identification by frequency and decay
+    "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 4,
     "diagnosis": 14,
     "validation": 13,
     "control": 4,  # controllers and their monitor
-    "tuning": 5,
+    "tuning": 6,
     "trial": 2,  # the loop and what is measured of it
-    "ledger": 3,
+    "ledger": 4,
     "sampling": 2,  # designs of studies and their statistics
 }
 

@@ -34,7 +34,7 @@ from ehbench.trial.checks import checks_of, limit_array
 from ehbench.trial.code import refuse_code
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design
-from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
+from ehbench.trial.coordination import Driven, Plan, as_long, joints_of, planned, tables_of
 from ehbench.trial.motion import References, lasting, references, rest
 from ehbench.trial.path import route
 from ehbench.trial.user_code import UserCode
@@ -53,6 +53,7 @@ QUANTITY_OF = {
     "position_mismatch": "following_error",
 }
 OWN_SENTENCE = (*QUANTITY_OF, "finite", "pressure_range")
+PLACES = 50  # of a motion at which the supply must carry the load
 RUN_OUT = 3.0  # [s] that are logged at most after a stop, valves at rest
 
 
@@ -136,8 +137,8 @@ class Prepared:
     ``table`` the open-loop commands [V], shape (samples, valves); ``limits`` as in
     `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop; ``payloads``
     what it carries from which row on, where that changes; ``cylinders`` are the rig's rows of the
-    plant. It may run again, and gives the same
-    bytes."""
+    plant; ``notes`` what is said of its controllers, their tuning and its loads. It may run again,
+    and gives the same bytes."""
 
     recipe: TrialRecipe
     rig: Rig
@@ -150,16 +151,12 @@ class Prepared:
     loop: Loop | None
     payloads: dict[int, str | None]
     cylinders: np.ndarray
+    notes: tuple[str, ...] = ()
 
     @property
     def duration(self) -> float:
         """Length [s] where no limit stops it."""
         return float(self.t[-1])
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is said of its controllers and their tuning."""
-        return () if self.loop is None else self.loop.notes
 
     def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
         """True for the valves that go to rest without a ramp when a limit stopped the trial under a
@@ -398,7 +395,19 @@ def prepare(
     else:
         with placed(recipe.at("posture")):
             machine.check_posture(posture)
-    return prepared
+    return replace(prepared, notes=_notes(prepared, model))
+
+
+def _notes(prepared: Prepared, model: Model) -> tuple[str, ...]:
+    """What is said of a trial's controllers, and of loads on its way that the supply cannot
+    carry."""
+    loop, loads = prepared.loop, (prepared.recipe.payload, *prepared.payloads.values())
+    q = model.posture(prepared.posture)[None] if loop is None else joints_of(loop.driven)[0]
+    notes = () if loop is None else loop.notes
+    for load in dict.fromkeys(loads):
+        loaded = Model.of(prepared.rig, prepared.maps, load)
+        notes += tuple(loaded.weak_supply(load, q[:: max(1, len(q) // PLACES)]))
+    return notes
 
 
 def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:

@@ -150,7 +150,7 @@ class Search:
     def judged(self, budget: float, result: Sequence[LoopMargins]) -> ArcCandidate:
         """A candidate, from its margins at all points."""
         worst = {
-            "gain_margin": min(item.gain for item in result),
+            "gain_margin": min(item.stated_gain for item in result),
             "phase_margin": min(item.phase for item in result),
             "delay_margin": min(item.stated for item in result),
         }
@@ -224,7 +224,8 @@ def _result(
         candidates=tuple(tried[key] for key in sorted(tried)),
         points=tuple(
             ArcPoint(
-                p.name, p.function, p.payload, p.x, p.v, m.gain, m.phase, m.stated, m.frequency
+                *(p.name, p.function, p.payload, p.x, p.v),
+                *(m.stated_gain, m.phase, m.stated, m.frequency),
             )
             for p, m in zip(points, results, strict=True)
         ),

@@ -66,12 +66,19 @@ class Sensing(NamedTuple):
 class LoopMargins(NamedTuple):
     """How far a loop is from swinging: factor ``gain`` of all commands, angle ``phase`` [rad] and
     extra ``delay`` [s] at which it begins, each by itself; the ``frequency`` [rad/s] at which it
-    swings then, by delay. All 0 where it swings as it is, infinite where nothing makes it swing."""
+    swings then, by delay; the factor ``away`` of all commands at which it runs away without a
+    swing. All 0 where it swings as it is, infinite where nothing makes it swing."""
 
     gain: float
     phase: float
     delay: float
     frequency: float
+    away: float = math.inf
+
+    @property
+    def stated_gain(self) -> float:
+        """The gain margin to count on, of swings and of what runs away."""
+        return min(self.gain, self.away)
 
     @property
     def stated(self) -> float:
@@ -150,7 +157,9 @@ class ArcLoop:
     def growth(self, sensing: Sensing) -> float:
         """Growth [1/s] of what swings, the fastest; negative where all dies out."""
         poles = self.poles(sensing)
-        return float(np.real(poles[np.abs(np.imag(poles)) > ARC_LOOP.slowest]).max())
+        return float(
+            np.real(poles[np.abs(np.imag(poles)) > ARC_LOOP.slowest]).max(initial=-math.inf)
+        )
 
     def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the response from all commands
@@ -165,27 +174,33 @@ class ArcLoop:
         near = np.imag(ringing)[:, None] + np.abs(np.real(ringing))[:, None] * about
         omega = np.append(np.geomspace(ARC_LOOP.slowest, highest, ARC_LOOP.points), near.ravel())
         omega = np.unique(omega[(omega >= ARC_LOOP.slowest) & (omega <= highest)])
-        z = np.exp(1j * omega * self.tick)
-        late = np.exp(-1j * omega * sensing.delay)
+        return omega, self.eigenvalues(np.exp(1j * omega * self.tick), sensing)
+
+    def eigenvalues(self, z: np.ndarray, sensing: Sensing) -> np.ndarray:
+        """Those of the response from all commands to all at each z, shape (points, commands)."""
+        late = z ** (-sensing.delay / self.tick)
         keep = _keep(sensing.lag, self.tick)
         lag = (1.0 - keep) / (1.0 - keep / z)
         sensors = np.where(self.lagged, lag[:, None], 1.0) * late[:, None]
         # the plant's output is that of its state at a tick
         through = self.plant.response(z)
-        loop = self.law.response(z) @ (sensors[:, :, None] * through)
-        return omega, np.linalg.eigvals(loop)
+        return np.linalg.eigvals(self.law.response(z) @ (sensors[:, :, None] * through))
 
     def margins(self, sensing: Sensing) -> LoopMargins:
         """Margins of all commands together; exact, as a common gain, angle or delay turns all loci
         alike."""
         if self.growth(sensing) > ARC_LOOP.growth:
-            return LoopMargins(0.0, 0.0, 0.0, 0.0)
+            return LoopMargins(0.0, 0.0, 0.0, 0.0, 0.0)
         w, loci = self.loci(sensing)
         for i in range(1, len(loci)):  # each locus by itself: the eigenvalues that went on
             remaining = list(loci[i])
             for j, last in enumerate(loci[i - 1]):
                 nearest = int(np.argmin([abs(item - last) for item in remaining]))
                 loci[i, j] = remaining.pop(nearest)
+        # a real pole that grows as fast as the slowest swing
+        real = self.eigenvalues(np.exp([ARC_LOOP.slowest * self.tick + 0j]), sensing)[0]
+        reached = [x.real for x in real if abs(x.imag) < 1e-9 * abs(x) and 0.0 < x.real < 1.0]
+        away = min((1.0 / x for x in reached), default=math.inf)
         gain = phase = delay = math.inf
         frequency = 0.0
         for item in loci.T:
@@ -199,7 +214,7 @@ class ArcLoop:
                 if abs(angle[i]) < 1.0 and abs(angle[i + 1]) < 1.0:
                     reached = size[i] + share * (size[i + 1] - size[i])
                     gain = min(gain, 1.0 / reached) if reached < 1.0 else gain
-        return LoopMargins(gain, phase, delay, frequency)
+        return LoopMargins(gain, phase, delay, frequency, away)
 
 
 def _keep(lag: float, tick: float) -> float:

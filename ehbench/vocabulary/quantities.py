@@ -29,10 +29,10 @@ class Quantity:
 
     ``unit`` is the SI unit used inside, ``display`` the unit people see unless their rig file says
     otherwise, ``lower`` and ``upper`` [SI] the range outside of which a value is surely a slip of
-    unit or sign. ``mode_role`` says what a parameter decides of a cylinder's oscillation: its
-    ``frequency`` or its ``decay``. ``sensor`` says of a channel that every
-    machine measures whether it is one of a ``cylinder`` or of the ``supply``; a sample has them in
-    the order of the table."""
+    unit or sign, ``usual`` [SI] that of ordinary rigs. ``mode_role`` says what a parameter decides
+    of a cylinder's oscillation: its ``frequency`` or its ``decay``. ``sensor`` says of a channel
+    that every machine measures whether it is one of a ``cylinder`` or of the ``supply``; a sample
+    has them in the order of the table."""
 
     name: str
     symbol: str
@@ -43,6 +43,7 @@ class Quantity:
     upper: float = float("inf")
     mode_role: str = ""
     sensor: str = ""
+    usual: tuple[float, float] = (float("-inf"), float("inf"))
 
     def holds(self, values: np.ndarray) -> np.ndarray:
         """Which values [SI] lie in the range; what is not a number does not."""
@@ -54,9 +55,10 @@ def _rows() -> Iterator[Quantity]:
     text = Path(__file__).with_name("quantities.csv").read_text(encoding="utf-8")
     lines = (line for line in text.splitlines() if not line.startswith("#"))
     for row in csv.DictReader(lines, delimiter=";"):
-        bounds = float(row.pop("lower") or "-inf"), float(row.pop("upper") or "inf")
+        keys = ("lower", "upper", "usual_low", "usual_high")
+        low, high, *ends = (float(row.pop(k) or ("inf", "-inf")["low" in k]) for k in keys)
         row["display"] = row["display"] or row["unit"]
-        yield Quantity(**row, lower=bounds[0], upper=bounds[1])
+        yield Quantity(**row, lower=low, upper=high, usual=(ends[0], ends[1]))
 
 
 VOCABULARY: dict[str, Quantity] = {row.name: row for row in _rows()}

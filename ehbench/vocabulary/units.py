@@ -44,6 +44,7 @@ _PIECE = re.compile(
 )
 _BARE_POWER = re.compile(r"\b([kcdm]?m|in|ft)([23])\b(?!\s*(?:\^|\*\*))")  # cm2, m3/h
 _CUBIC = re.compile(rf"\bcubic ({_WORD})")
+MIXED: dict[str, list[str]] = _TABLE["mixed"]
 _NO_UNIT = ("", "-", "1")
 
 _SPOKEN = {word: unit for unit, words in _TABLE["spoken"].items() for word in words}
@@ -304,4 +305,15 @@ def plausible(value: float, row: Quantity, shown: str) -> None:
         )
         unit = "" if row.display == "dimensionless" else f" {row.display}"
         key = "vocabulary.implausible" if unit else "vocabulary.implausible_number"
-        raise UnitError(message(key, name=row.name, shown=shown, low=low, high=high, unit=unit))
+        fields = {"name": row.name, "shown": shown, "low": low, "high": high, "unit": unit}
+        raise UnitError(message(key, fits=fitting(value, unit_of(shown), row), **fields))
+
+
+def fitting(value: float, unit: str, row: Quantity) -> str:
+    """The units in which the number of an SI ``value`` in ``unit`` would be usual for a row, as the
+    end of a sentence; '' of none."""
+    low, high = row.usual
+    units = [other for other in MIXED.get(row.unit, ()) if other != unit]
+    number = from_si(value, unit, row) if math.isfinite(low) else math.nan
+    fits = [other for other in units if low <= to_si(number, other, row) <= high]
+    return f"; in {' or '.join(fits)} it would be usual" if fits else ""

@@ -94,9 +94,9 @@ class Bench:
         assert math.isfinite(y[row.joint])
         return trace.log[:, entry(own, OF.x)]
 
-    def grows(self, at, gains, delay, push=2.0e-4, louder=1.0):
+    def grows(self, at, gains, delay, push=2.0e-4, louder=1.0, span=1.6):
         """Whether a push swings more and more: the last third of the time against that before."""
-        ends = (self.stroke(at, gains, delay, one, louder=louder) for one in (push, -push))
+        ends = (self.stroke(at, gains, delay, one, span, louder) for one in (push, -push))
         apart = next(ends) - next(ends)
         swing = np.diff(apart, 2)
         third = swing.size // 3

@@ -108,7 +108,33 @@ def test_margins_of_late_integrators(gains, late):
     least = 2.0 * math.sin(math.pi / (4 * late + 2)) / (K * T)
     assert margins.gain == pytest.approx(least, rel=2e-3)
     beyond = loop_of(np.eye(count), T * np.eye(count), 1.02 * least * gain)
-    assert beyond.margins(Sensing(late * T)) == (0.0, 0.0, 0.0, 0.0)
+    assert beyond.margins(Sensing(late * T)) == (0.0,) * 5
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_lag_runs_away_without_a_swing(late):
+    """z = p + (1 − p) k g z⁻ᵈ at z = e^(3T), where it grows as fast as the slowest swing."""
+    keep, gain, z = math.exp(-20.0 * T), 0.3, math.exp(3.0 * T)
+    loop = loop_of([[keep]], [[1.0 - keep]], [[gain]])
+    margins = loop.margins(Sensing(late * T))
+    assert margins.away == pytest.approx((z - keep) / (1.0 - keep) / gain * z**late, rel=1e-9)
+    assert margins.stated_gain == margins.away and margins.delay == margins.phase == math.inf
+    assert loop_of([[keep]], [[1.0 - keep]], [[-gain]]).margins(Sensing()).away == math.inf
+
+
+def test_the_gain_margin_is_where_a_low_chamber_runs_away():
+    """On a low supply the rod end is let to tank by the measured drop: commanded louder, that gives
+    way more than the drop holds against it."""
+    plain = shipped("boom_four_valve")
+    low = plain.with_values({"supply.pressure": 0.22 * float(plain.supply.pressure)})
+    rig = Bench(low, "boom", 1, (0.3,))
+    gains = rig.gains()
+    at = next(at for at in rig.points if at.point.function == "extend_resistive")
+    margins = rig.loop(at, gains).margins(Sensing())
+    margin = margins.stated_gain
+    assert margins.gain > 5.0 * margin
+    assert not rig.grows(at, gains, 0.0, 2.0e-6, 0.9 * margin, 0.7)
+    assert rig.grows(at, gains, 0.0, 2.0e-6, 1.2 * margin, 0.7)
 
 
 @pytest.mark.parametrize("lag", [0.0, 4.0e-3])

@@ -669,6 +669,18 @@ def test_bounds_are_those_of_the_spec():
     json.dumps(asdict(found), allow_nan=False)
 
 
+def test_bounds_pay_each_way_at_the_pressure_that_there_was():
+    """An accumulator runs down: out at 40 to 20 bar on the mean, back at 20 to 10 bar."""
+    rig = shipped("thesis_arm")
+    record = up_and_down(rig, "boom", 0.1, -50.0)
+    steps = np.diff(record["boom.x"], prepend=record["boom.x"][0])
+    far = np.cumsum(np.abs(steps)) / 0.1
+    pressure = np.where(far < 1.0, 40e5 - 20e5 * far, 30e5 - 10e5 * far)
+    found = bounds(rig, replace(record, channels={**record.channels, "p_supply": pressure}), "boom")
+    head, rod = rig.cylinder_named("boom").areas()
+    assert found.standard == pytest.approx((30e5 * head + 15e5 * rod) * 0.1, rel=2e-3)
+
+
 def test_bounds_against_a_trial():
     """A boom on four valves draws what the bound and what its own flows say."""
     model = Model.of(rig_of("boom_four_valve", lossy=False))

@@ -363,6 +363,28 @@ def test_the_thesis_way_recovers(factor):
         assert match.simulated.natural_frequency == pytest.approx(recorded, rel=0.02)
 
 
+def test_the_thesis_way_contains_the_errors_of_fixed_numbers():
+    """What a mass that is off by 4 % moves is beside what the rings scatter: β by ω² m as much."""
+    made, error = clean("slide_servo", None, SERVO, 801), 0.04
+    logs = [(f"log {i}", noisy(made, i)) for i in range(2)]
+    machine, heavy = shipped("slide_servo"), "carriage.mass"
+    number = replace(machine.parameters()[heavy], std=error * 250.0)
+    plain, fit, up, down = (
+        identify(machine.with_values({heavy: mass}), logs, SLIDE, method="thesis")
+        for mass in (250.0, number, 250.0 * (1.0 + error), 250.0 * (1.0 - error))
+    )
+    for name in SLIDE:
+        (low, high), (first, last) = (item[name].interval or (0.0, 0.0) for item in (plain, fit))
+        moved = math.log(up[name].value / down[name].value) / 2.0
+        assert name != "bulk_modulus" or moved == pytest.approx(error, rel=0.03)
+        assert fit[name].value == pytest.approx(plain[name].value, rel=1e-9)
+        assert plain[name].from_fixed == 0.0
+        scatter = (plain[name].std or 0.0) / plain[name].value
+        assert fit[name].from_fixed == pytest.approx(1.0 / (1.0 + (scatter / moved) ** 2), rel=0.05)
+        wider = math.hypot(math.log(high / low) / 2.0, 1.96 * moved)
+        assert math.log(last / first) / 2.0 == pytest.approx(wider, rel=0.05)
+
+
 @pytest.mark.parametrize("method", ["thesis", "output_error"])
 def test_commands_read_back_with_noise_do(method):
     rng = np.random.default_rng(12)

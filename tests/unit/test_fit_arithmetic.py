@@ -1293,7 +1293,7 @@ def test_what_was_matched_is_told_with_its_scatter_and_what_is_silent(silent):
     window = Stub(log=0, cylinder="press", columns=(0,), recorded=Stub(stop=0.5), span=slice(9, 20))
     work = match_of([place, replace(place, name="bulk_modulus")], [window, window])
     work.theta = np.array([math.log(4.0), 0.0])
-    work.simulator = Stub(logs=[log_of(v=np.zeros(30))])
+    work.simulator = Stub(logs=[log_of(v=np.zeros(30))], fixed_errors=dict)
     rings = [Stub(ok=True), Stub(ok=not silent)]
     stand: Any = Stub(at_bound=[0] if silent else [], rings=rings)
     with answers(matching, finish=lambda _, built: built):

@@ -1339,11 +1339,11 @@ def test_the_margins_of_sampled_integrators_a_tick_late(gains):
     omega = 2.0 * math.asin(0.5 * k) / TICK
     turn = 0.5 * math.pi - 1.5 * omega * TICK
     found = loop(1.0).margins(sensing)
-    expected = (1.0 / k, turn, turn / omega, omega)
+    expected = (1.0 / k, turn, turn / omega, omega, math.inf)
     assert found == pytest.approx(expected, rel=1e-4)
     assert found.stated == pytest.approx(turn / omega / 1.5, rel=1e-4)
     assert loop(1.0).growth(sensing) == pytest.approx(0.5 * math.log(k) / TICK)
-    assert loop(1.02 / k).margins(sensing) == (0.0,) * 4
+    assert loop(1.02 / k).margins(sensing) == (0.0,) * 5
     assert min(loop(0.99 / k).margins(sensing)) > 0.0
 
 

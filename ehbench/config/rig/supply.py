@@ -8,8 +8,6 @@ from ehbench.config.rig.names import Misplaced
 from ehbench.vocabulary import message
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
-_HIGHEST_PRESSURE = 1.0e8  # [Pa]
-
 
 class Accumulator(FileModel):
     """A gas-charged accumulator on the supply line: ``p V_gas^n`` stays, p absolute; ``gas_volume``
@@ -90,10 +88,6 @@ class Supply(FileModel):
     @model_validator(mode="after")
     def _pressures_fit(self) -> Self:
         self.check_following()
-        if float(self.pressure) > _HIGHEST_PRESSURE:
-            sizes = {"given": float(self.pressure), "maximum": _HIGHEST_PRESSURE}
-            fields = {key: self.pressure.like("pressure", x) for key, x in sizes.items()}
-            raise Misplaced(message("config.supply_too_high", **fields), "pressure")
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced(message("config.supply_below_tank"), "pressure")
         gas = self.accumulator
