@@ -26,8 +26,8 @@ def read(
     """A log in SI: MCAP, CSV, or any other format that is read (`ehbench.data.readers`).
 
     A truncated, killed or damaged MCAP gives its sound chunks; ``losses`` then says what is
-    missing. Topics of different rates come on the time base of the fastest, the others held at
-    their last value.
+    missing. Tables and topics of different rates come on the time base of the fastest, readings on
+    straight lines between their samples, commands held.
 
     Args:
         path: the file.

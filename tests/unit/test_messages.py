@@ -93,8 +93,10 @@ def test_a_count_goes_with_its_word():
     assert [drop.split(" at ")[1] for drop in drops] == [
         *("0 pressure drops", "1 pressure drop", "2 pressure drops")
     ]
-    left = [message("data.samples_uncovered", count=count).split(" left")[0] for count in (1, 2)]
-    assert left == ["1 sample is", "2 samples are"]
+    gone = [message("data.first_missing", topic="a", count=count, t=0.0) for count in (1, 2)]
+    assert [text.split(" missing")[0] for text in gone] == [
+        *("a: the first 1 sample is", "a: the first 2 samples are")
+    ]
 
 
 def test_a_share_is_written_with_a_space_before_its_sign():

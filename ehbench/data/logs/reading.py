@@ -7,6 +7,7 @@ import numpy as np
 from ehbench.data.logs.checks import check_record, check_time, inside, label_of
 from ehbench.data.logs.layout import MAGIC
 from ehbench.data.logs.salvage import Salvage, Stream
+from ehbench.data.rates import Group, joined
 from ehbench.data.record import Record, Window
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary import LogError, message, placed, quantity, to_si
@@ -35,7 +36,13 @@ def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> R
         raise LogError(message(key), file=path)
     first = min(int(stream.stamps[0][0]) for stream in streams)
     groups = [_group(stream, first, path, losses) for stream in streams]
-    t, channels = _merge(groups, path, losses)
+    names = [name for group in groups for name in group.channels]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise LogError(message("data.in_two_topics", name=twice), file=path)
+    for group in groups if len(groups) > 1 else ():
+        check_time(group.t, file=path, name=group.name)
+    record, rates = joined(groups, losses)
+    t, channels = record.t, record.channels
     if not result.closed:
         losses.append(message("data.breaks_off", last=f"{t[-1]:.9g} s" if t.size else "unknown"))
     losses += [message("data.topic_not_read", topic=topic) for topic in result.unread]
@@ -46,7 +53,8 @@ def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> R
     channels = {name: channels[name] for name in order}
     if any(stream.numbered for stream in streams) and not result.facts:
         losses.append(message("data.facts_lost"))
-    meta = {**result.meta, **result.facts.get("meta", {})}
+    meta = {**result.meta, **result.facts.get("meta", {}), **record.meta}
+    meta |= {"rates": "; ".join(rates)} if rates else {}
     losses = (*result.facts.get("losses", ()), *losses)
     record = Record(t, channels, meta, result.attachments, losses)
     if check:
@@ -54,11 +62,8 @@ def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> R
     return record
 
 
-def _group(
-    stream: Stream, first: int, path: Path, losses: list[str]
-) -> tuple[str, np.ndarray, dict[str, np.ndarray]]:
-    """One topic as (topic, t [s], channels in SI); appends to ``losses`` what the message numbers
-    show to be missing."""
+def _group(stream: Stream, first: int, path: Path, losses: list[str]) -> Group:
+    """One topic; appends to ``losses`` what the message numbers show to be missing."""
     channels: dict[str, np.ndarray] = {}
     for values, text in zip(stream.table[:, : stream.size], stream.labels.values()):
         name, unit = label_of(text, file=path)
@@ -80,33 +85,4 @@ def _group(
             fields = {"topic": topic, "count": missing[at].sum()}
             fields |= {"most": missing[longest], "first": t[longest], "last": t[longest + 1]}
             losses.append(message("data.numbers_missing", **fields))
-    return stream.topic, t, channels
-
-
-def _merge(
-    groups: list[tuple[str, np.ndarray, dict[str, np.ndarray]]], path: Path, losses: list[str]
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """All topics on the time base of the fastest, the slower ones held at their last value
-    (zero-order hold)."""
-
-    def period(t: np.ndarray) -> float:
-        return float(np.median(np.diff(t))) if t.size > 1 else np.inf
-
-    _, base, _ = min(groups, key=lambda group: period(group[1]))
-    channels: dict[str, np.ndarray] = {}
-    start, stop = -np.inf, np.inf
-    for topic, t, values in groups:
-        if twice := next((name for name in values if name in channels), None):
-            raise LogError(message("data.in_two_topics", name=twice), file=path)
-        if not np.array_equal(t, base):
-            for name, times in ((topic, t), ("the time", base)):
-                check_time(times, file=path, name=name)
-            fixed = np.searchsorted(t, base, side="right") - 1
-            values = {name: each[fixed.clip(0)] for name, each in values.items()}
-            start, stop = max(start, t[0]), min(stop, t[-1] + period(t))
-        channels.update(values)
-    keep = (base >= start) & (base <= stop)
-    if not keep.all():
-        losses.append(message("data.samples_uncovered", count=int((~keep).sum())))
-        base, channels = base[keep], {name: values[keep] for name, values in channels.items()}
-    return base, channels
+    return Group(stream.topic, t, channels=channels)
