@@ -72,7 +72,7 @@ def log_of(k: int, noise: float, seed: int) -> Stub:
     y = y + noise * np.std(y, axis=0) * rng.standard_normal(y.shape)
     doubt = Stub(name="press.x0", std=1e-3, share=1e-2)
     log = Stub(name=f"log {k}", side=side, channels=("press.x", "press.v"), recorded=y)
-    log.record = {}
+    log.record, log.seen = {}, Stub(apart=lambda channel: 1)
     log.start = Stub(terms=(), uncertain=(doubt,), moves=True)
     log.counts, log.sample_time, log.each, log.commanded = (
         np.ones(y.shape, bool),

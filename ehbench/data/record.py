@@ -139,6 +139,12 @@ class Record:
         except (ValueError, TypeError, AttributeError):
             return {}
 
+    def apart(self, channel: str) -> int:
+        """How many samples here lie between two that a channel's recorder took."""
+        if channel not in self.periods or self.t.size < 2:
+            return 1
+        return int(np.clip(self.periods[channel] / self.sample_time + 0.5, 1, self.t.size))
+
     @cached_property
     def even(self) -> bool:
         """Whether it has samples at one rate, three at least."""

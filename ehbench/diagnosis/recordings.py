@@ -59,8 +59,9 @@ def is_astray(case: Case, left: np.ndarray) -> bool:
         case.recorded.items(), np.split(left, len(case.recorded)), strict=True
     ):
         spread = y.size * (np.std(y) / case.scales[name]) ** 2
-        owner = name.partition(".")[0]
-        sums[owner] = sums.get(owner, 0.0) + np.array([total([part]), spread])
+        owner, dot, _ = name.partition(".")
+        if dot:  # a supply that stays shows no more than its noise
+            sums[owner] = sums.get(owner, 0.0) + np.array([total([part]), spread])
     return any(rest > ASTRAY**2 * spread for rest, spread in sums.values())
 
 

@@ -327,7 +327,8 @@ class _Trials:
         self.spread = dict(problem.spread)
         for log in logs:
             for channel, y in zip(log.channels, log.recorded.T, strict=True):
-                self.noise[channel] = max(white_noise(y) ** 2, self.noise.get(channel, 0.0))
+                noise = white_noise(y, log.seen.apart(channel)) ** 2
+                self.noise[channel] = max(noise, self.noise.get(channel, 0.0))
         folds = [self._fold(self.base, which, start) for which in range(2)]
         self.live = tuple(dict.fromkeys(name for log in logs for name in log.commanded))
         self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))

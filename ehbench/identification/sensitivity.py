@@ -166,7 +166,8 @@ def _only_noise(fit: Problem, state: State) -> bool:
         return False
 
     def noise(log: Log) -> float:
-        sizes = [white_noise(y) for y in log.recorded.T] / by_channel(state.scales, log)
+        apart = map(log.seen.apart, log.channels)
+        sizes = list(map(white_noise, log.recorded.T, apart)) / by_channel(state.scales, log)
         return float(np.sum(sizes**2 * np.count_nonzero(log.counts, axis=0)))
 
     left = squares(fit, state)

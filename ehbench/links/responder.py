@@ -145,7 +145,6 @@ def serve(target, port, host="127.0.0.1", ready=lambda: None):
 
 
 if __name__ == "__main__":
-    # pyrefly: ignore[missing-import]
     from ehb_wire import COMMANDS, LAYOUT, RATE, SAMPLE
 
     serve(Target(Rig(), COMMANDS, {LAYOUT: (len(COMMANDS), list)}, RATE), 47000)

@@ -77,7 +77,8 @@ def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
         if channel is None or not words:
             continue
         moving = "qd" in words
-        q = without_noise(record[channel], tick) if moving else record[channel]
+        q = record[channel]
+        q = without_noise(q, tick, record.apart(channel)) if moving else q
         if channel.endswith(".x"):
             q = np.asarray(joint_of(row, np.clip(q, 0.0, float(row.stroke))))
         row.tied_position = before + len(tied)
@@ -88,20 +89,22 @@ def ties_of(plant: Plant, names: Layout, record: Record) -> Ties:
     line = plant.at_pressures().supply
     if supplied(record):
         line.tied = before + len(tied)
-        tied.append((plant.at.supply, without_noise(record["p_supply"], tick)))
+        supply = without_noise(record["p_supply"], tick, record.apart("p_supply"))
+        tied.append((plant.at.supply, supply))
     rates = [np.append(np.diff(values) / tick, 0.0) for _, values in tied]
     first = {at: float(values[0]) for at, values in tied}
     table = np.column_stack(rates) if rates else np.zeros((record.t.size, 0))
     return Ties(cylinders, line, table, first)
 
 
-def without_noise(y: np.ndarray, tick: float) -> np.ndarray:
+def without_noise(y: np.ndarray, tick: float, each: int = 1) -> np.ndarray:
     """A position [unit] without what lies above the frequencies at which motion shows above its
-    white noise, which third differences tell.
+    white noise, which third differences tell; of one that is interpolated, those of its samples,
+    which stand in every ``each``-th place.
 
     Noise of a motion that is given is an error of the regressor: it makes the oil seem softer."""
     size = min(y.size, round(PERIOD / tick))
-    density = 2.0 * tick * white_noise(y) ** 2
+    density = 2.0 * tick * each * white_noise(y, each) ** 2
     if size < 16 or density == 0.0:
         return y
     from scipy.signal import welch

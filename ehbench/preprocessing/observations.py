@@ -80,8 +80,7 @@ def noise_of(record: Record, channel: str, each: int = 1) -> float:
     by third differences; of a rate from a position, by that position's."""
     position = position_of(channel)
     read = channel if channel in record or position not in record else position
-    period = record.periods.get(read)
-    apart = int(np.clip(period / record.sample_time + 0.5, 1, record.t.size)) if period else 1
+    apart = record.apart(read)
     noise = white_noise(record[read], apart)
     count = np.arange(record.t.size)  # a sample is a triangle on what is interpolated
     pulse = np.maximum(0.0, 1.0 - np.abs(count - count.size // 2) / apart)

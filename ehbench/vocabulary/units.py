@@ -27,7 +27,7 @@ with Path(__file__).with_suffix(".toml").open("rb") as _file:
 _ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67 / 1.8, "°F": 459.67 / 1.8}  # [K]
 
 _NUMBER = re.compile(
-    r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$", re.S
+    r"\s*((?>[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?))(?!,)\s*(.*?)\s*$", re.S
 )
 _LONGEST = 80  # characters of a unit
 _WORD = r"(?:%|°[CF]?|[^\W\d_]\w*)"

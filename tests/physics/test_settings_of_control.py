@@ -850,6 +850,7 @@ def slow_ticks():
 def kept_stroke():
     """The stroke that a lever leaves at an end, of 1 m."""
     recipe: Any = Stub(rate=1.0, limits=Stub(stroke_margin=None), duration=1.0)
+    recipe.at = lambda _: {}
     motion: Any = Stub(dead_zone=0.0, axis="", file=None)
     design: Any = Stub(row=Stub(stroke=1.0), x=0.5)
     limits = {"speed": 1.0, "acceleration": 1.0}

@@ -118,8 +118,8 @@ def test_units_as_people_write_them(unit, name, si):
     assert to_si(1.0, unit, VOCABULARY[name]) == pytest.approx(si, rel=1e-9)
 
 
-def test_digits_of_other_scripts_are_no_number():
-    for text in ("１２ mm", "١٢ mm"):
+def test_digits_of_other_scripts_and_decimal_commas_are_no_number():
+    for text in ("１２ mm", "١٢ mm", "3,0 in", "30,5 mm", "1,000 mm"):
         with pytest.raises(UnitError, match="no number"):
             parse(text, VOCABULARY["x"])
 
