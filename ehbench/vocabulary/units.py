@@ -316,4 +316,4 @@ def fitting(value: float, unit: str, row: Quantity) -> str:
     units = [other for other in MIXED.get(row.unit, ()) if other != unit]
     number = from_si(value, unit, row) if math.isfinite(low) else math.nan
     fits = [other for other in units if low <= to_si(number, other, row) <= high]
-    return f"; in {' or '.join(fits)} it would be usual" if fits else ""
+    return message("vocabulary.fits", units=" or ".join(fits)) if fits else ""
