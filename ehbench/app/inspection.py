@@ -1,5 +1,6 @@
 """What a file holds, and whether it is valid; a recipe by a dry run of its stage."""
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from itertools import product
@@ -8,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, load_rig
-from ehbench.config.rig import NODES, Rig
+from ehbench.config.rig import NODES, Rig, Slide
 from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
 from ehbench.report.blocks import Grid
 from ehbench.report.content import written_step
@@ -166,6 +167,7 @@ def _rig(path: Path) -> Inspection:
     for load in (None, *rig.payload):
         try:
             texts, remarks = _standstill(rig, load)
+            remarks += _wide_bodies(rig, load)
         except EhbenchError as error:
             text, line = error.message, line_naming(path, error.message)
             raise type(error)(text, file=path, line=line, hint=error.hint) from None
@@ -179,6 +181,21 @@ def _rig(path: Path) -> Inspection:
         words.append(f"{bare} without a source")
     lines.append(message("app.sources", sources=", ".join(words) or "no sources given"))
     return Inspection((*lines, "ok"), of_rig=tuple(notes))
+
+
+def _wide_bodies(rig: Rig, load: str | None) -> list[Message]:
+    """Notes on links whose inertia spreads their mass farther than the machine reaches."""
+    chain, notes = rig.loaded(load), []
+    links = () if isinstance(chain, Slide) else chain.joint
+    reach = sum(math.hypot(link.dh_a, link.dh_d, *link.com.value) for link in links)
+    for link in links:
+        mass, widest = link.mass, max(link.inertia.parts[:3], key=float)
+        if float(widest) > float(mass) * reach**2:
+            fields = {"link": link.name, "mass": mass.like("mass", float(mass))}
+            fields |= {"inertia": widest.like("inertia", float(widest))}
+            fields |= {"load": load or "no payload", "reach": rig.shown("dh_a", reach, 3)}
+            notes.append(message("app.wide_body", **fields))
+    return notes
 
 
 def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:

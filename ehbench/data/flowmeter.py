@@ -399,7 +399,7 @@ def _row(sheet: _Sheet, index: int) -> dict[str, Any]:
         row[name] = number
         unit = sheet.units[name]
         with placed(where):
-            plausible(number, quantity, f"{from_si(number, unit, quantity):.6g} {unit}")
+            plausible(number, quantity, f"{from_si(number, unit, quantity):.6g} {unit}", unit)
     if _PRESSURES[0] in row:
         row["pressure_drop"] = row.pop(_PRESSURES[0]) - row.pop(_PRESSURES[1])
     row["direction"] = re.sub(r"\s*(->|→)\s*", "->", words.get("direction", "").lower())

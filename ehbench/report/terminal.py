@@ -190,7 +190,8 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
 
 
 def table_lines(grid: Grid, columns: Sequence[str], width: int) -> list[str]:
-    """A table in columns, named ones or all, as many as fit; words may be cut to 20 letters."""
+    """A table in columns, named ones or all, as many as fit; words may be cut to 20 letters, or go
+    on below where no head names them."""
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))
     cells = [[grid.head[i] for i in places]] if any(grid.head) else []
@@ -208,11 +209,15 @@ def table_lines(grid: Grid, columns: Sequence[str], width: int) -> list[str]:
     rule = GAP.join("─" * size for size in wide)
     lines = []
     for row in cells:
-        texts = []
+        texts, below = [], []
         for text, size, right in zip(row, wide, digits, strict=False):
-            text = text if len(text) <= size else text[: size - 1] + "…"
+            if len(text) > size and any(grid.head):
+                text = text[: size - 1] + "…"
+            elif len(text) > size:
+                text, *below = textwrap.wrap(text, size)
             texts.append(text.rjust(size) if right else text.ljust(size))
-        lines.append(GAP.join(texts).rstrip())
+        indent = " " * len(GAP.join([*texts[:-1], ""]))
+        lines += [GAP.join(texts).rstrip(), *(indent + text for text in below)]
     lines.insert(1 if any(grid.head) else 0, rule)
     return lines
 

@@ -279,7 +279,7 @@ def parse(text: str, row: Quantity) -> float:
     if not match[2] and row.unit != "dimensionless":
         raise UnitError(message("vocabulary.no_unit", number=match[1][:20], **fields))
     value = float(to_si(float(match[1]), match[2], row))
-    plausible(value, row, text.strip())
+    plausible(value, row, text.strip(), match[2].strip())
     return value
 
 
@@ -294,19 +294,20 @@ def zero_of(text: str, row: Quantity) -> float:
     return float(to_si(0.0, unit_of(text) or row.unit, row))
 
 
-def plausible(value: float, row: Quantity, shown: str) -> None:
-    """Refuse an SI value outside the row's range.
+def plausible(value: float, row: Quantity, shown: str, given: str = "") -> None:
+    """Refuse an SI value outside the row's range, ``shown`` as it was ``given`` in a unit.
 
     Raises:
-        UnitError: names the range in the row's display unit."""
+        UnitError: names the range in that unit, else in the row's display unit."""
     if not row.lower <= value <= row.upper:
+        unit = given or row.display
         low, high = (
-            from_si(v, row.display, row) if math.isfinite(v) else v for v in (row.lower, row.upper)
+            from_si(v, unit, row) if math.isfinite(v) else v for v in (row.lower, row.upper)
         )
-        unit = "" if row.display == "dimensionless" else f" {row.display}"
+        unit = "" if unit == "dimensionless" else f" {unit}"
         key = "vocabulary.implausible" if unit else "vocabulary.implausible_number"
         fields = {"name": row.name, "shown": shown, "low": low, "high": high, "unit": unit}
-        raise UnitError(message(key, fits=fitting(value, unit_of(shown), row), **fields))
+        raise UnitError(message(key, fits=fitting(value, given, row), **fields))
 
 
 def fitting(value: float, unit: str, row: Quantity) -> str:

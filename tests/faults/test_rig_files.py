@@ -167,6 +167,14 @@ def test_a_number_beyond_ordinary_rigs_names_the_unit_that_fits(tmp_path, old, n
         assert fits in fields["fits"].split() and fields["value"] == new.strip('"')
 
 
+@pytest.mark.parametrize(("mass", "wide"), [("200 g", 1), ("14 kg", 0), ("12 kg", 1)])
+def test_an_inertia_that_spreads_a_mass_beyond_the_machine_is_noted(tmp_path, mass, wide):
+    (tmp_path / "rig.toml").write_text(CRANE.replace("200 kg", mass))
+    notes = inspection.check(tmp_path / "rig.toml").answer(tmp_path).notes
+    found = [n.fields for n in notes if isinstance(n, Message) and n.key == "app.wide_body"]
+    assert [(fields["link"], fields["mass"]) for fields in found] == [("boom", mass)] * wide
+
+
 def test_pressure_that_the_areas_raise_is_no_load_beyond_the_supply(tmp_path):
     """One open edge holds the head end at the supply's pressure; the rod end stands above."""
     rig = tomllib.loads(CRANE)
