@@ -324,7 +324,7 @@ def _trial_scatter(result: Fit) -> float:
 
 def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.ndarray:
     """Standard error of the scaled flow on the grid u × s, shape (u, s)."""
-    r, shape, solution = result.readings, result.shape, result.solution
+    r, solution = result.readings, result.solution
     opening, root = (a.ravel() for a in np.meshgrid(u, s, indexing="ij"))
     design = solution.spline.design(opening, root)
     variance = solution.widening * solution.variance(design)
@@ -336,10 +336,10 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     few = np.sqrt(trials / np.interp(opening, r.commands, np.maximum(counts, 1)))
     variance += (scatter * few * flow) ** 2
     variance += _missed(result, opening, root) + _between(result, opening, root)
-    for sides in _uncertain(result):
+    for sides, smoothing in _uncertain(result):
         low, high = (
             spline.design(opening - more * (root**2 - 0.5), root)
-            @ regression(spline, result.used.shifted(more)).solve(shape.smoothing)[0]
+            @ regression(spline, result.used.shifted(more)).solve(smoothing)[0]
             for spline, more in sides
         )
         variance += ((high - low) / (2.0 * Z95)) ** 2
@@ -354,23 +354,29 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     return np.sqrt(variance)
 
 
-def _uncertain(result: Fit) -> Iterator[tuple[tuple[Spline, float], tuple[Spline, float]]]:
+def _uncertain(
+    result: Fit,
+) -> Iterator[tuple[tuple[tuple[Spline, float], tuple[Spline, float]], np.ndarray]]:
     """For the deadband, its shift and each kink, the spline with it at either end of its interval,
-    and the shift [V] more; for a soft start the one at the lower end, and the map's."""
+    and the shift [V] more; for a soft start the one at the lower end, and the map's; with the
+    penalties. The deadband's are those that its error is of: stiffer ones would tilt the whole map.
+    """
     shape, deadband = result.shape, result.deadband
     if half := Z95 * deadband.std:
         low = max(deadband.value - half, 0.0)
-        yield (shape.spline(low), 0.0), (shape.spline(deadband.value + half), 0.0)
+        ends = (shape.spline(low), 0.0), (shape.spline(deadband.value + half), 0.0)
+        yield ends, deadband.smoothing
     if deadband.interval[0] < deadband.value:
-        yield (shape.spline(deadband.interval[0], soft=True), 0.0), (shape.spline(), 0.0)
+        soft = shape.spline(deadband.interval[0], soft=True)
+        yield ((soft, 0.0), (shape.spline(), 0.0)), shape.smoothing
     if half := Z95 * result.shift_std:
-        yield (shape.spline(), -half), (shape.spline(), half)
+        yield ((shape.spline(), -half), (shape.spline(), half)), shape.smoothing
     for kink in result.kinks:
         others = tuple(item.value for item in result.kinks if item is not kink)
         low, high = (
             replace(shape, kinks=(*others, kink.value + k * kink.std)).spline() for k in (-Z95, Z95)
         )
-        yield (low, 0.0), (high, 0.0)
+        yield ((low, 0.0), (high, 0.0)), shape.smoothing
 
 
 def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 each by its likelihood given the cells' means."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from typing import Any, cast
 
@@ -306,12 +306,14 @@ class Window:
 
 @dataclass(frozen=True)
 class Deadband:
-    """A deadband [V] with standard error and 95 % interval; ``at_bound``: it may be 0 V."""
+    """A deadband [V] with standard error and 95 % interval; ``at_bound``: it may be 0 V;
+    ``smoothing``: the penalties under which these were found."""
 
     value: float = 0.0
     std: float = 0.0
     interval: tuple[float, float] = (0.0, 0.0)
     at_bound: bool = True
+    smoothing: np.ndarray = field(default_factory=lambda: np.ones(2), compare=False)
 
 
 def window_of(readings: Readings, cells: Cells, lack: float) -> Window:
@@ -381,8 +383,8 @@ def find_deadband(
     lower, upper = ends
     low, high = max(min(lower, value - narrowest), 0.0), max(upper, value + narrowest)
     interval = (round(low, 4), round(high, 4))
-    result = Deadband(value, float(np.sqrt(spread)), interval, at_bound=lower <= 0.0)
-    return result, replace(shape, deadband=value)
+    std, bound = float(np.sqrt(spread)), lower <= 0.0
+    return Deadband(value, std, interval, bound, shape.smoothing), replace(shape, deadband=value)
 
 
 def soften(

@@ -14,7 +14,7 @@ METHODS: Mapping[str, int] = {
     "logs": 5,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
-    "flow_maps": 11,
+    "flow_maps": 12,
     "output_error": 15,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 4,

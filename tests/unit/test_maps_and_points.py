@@ -1101,25 +1101,25 @@ def test_a_maps_error_has_what_trials_commands_and_drops_are_off_by():
     design = lambda u, s: (u * np.repeat(d[None], 3, axis=0).ravel())[:, None]  # noqa: E731
     solution = Stub(spline=Stub(design=design), coefficients=np.ones(1), widening=3.0)
     solution.variance = lambda design: np.full(9, 1e-4)
-    result: Any = Stub(readings=r, shape=None, solution=solution)
-    result.keep, result.used = np.array([True, True, True, False]), Stub(shifted=lambda more: None)
-    result.shape = Stub(smoothing=None)
+    result: Any = Stub(readings=r, solution=solution, used=Stub(shifted=lambda more: None))
+    result.keep = np.array([True, True, True, False])
     low, high = (Stub(design=design, size=np.array([size])) for size in (1.0, 1.3))
-    sides = [((low, 0.0), (high, 0.0)), ((low, -0.2), (low, 0.2))]
-    with answers(results, _missed=np.full(9, 2e-4), _between=np.full(9, 3e-4),
-                 _uncertain=lambda _: sides,
-                 regression=lambda spline, _: Stub(solve=lambda _: (spline.size,))):  # fmt: skip
+    sides = [(((low, 0.0), (high, 0.0)), 1.0), (((low, -0.2), (low, 0.2)), 2.0)]
+    solved = lambda spline, _: Stub(solve=lambda smoothing: (spline.size * smoothing,))  # noqa: E731
+    parts = {"_missed": np.full(9, 2e-4), "_between": np.full(9, 3e-4)}
+    with answers(results, **parts, _uncertain=lambda _: sides, regression=solved):
         found = results._flow_std(result, u, s, 0.05)
     flow, few = np.outer(u, d), np.sqrt(2.0 / np.array([2.0, 1.5, 1.0]))[:, None]
     square = 3e-4 + 5e-4 + (0.05 * few * flow) ** 2
     square = square + (0.5 * flow * (np.sqrt(d) / s - 1.0)) ** 2
     square += (0.01 * d) ** 2 + (0.02 * u[:, None]) ** 2
-    square += ((0.3 * flow) ** 2 + (0.4 * (s**2 - 0.5) * d) ** 2) / (2.0 * Z95) ** 2
+    square += ((0.3 * flow) ** 2 + (0.8 * (s**2 - 0.5) * d) ** 2) / (2.0 * Z95) ** 2
     assert found == pytest.approx(np.sqrt(square))
 
 
 def test_a_map_is_drawn_with_each_number_at_either_end_of_its_interval():
-    """Also softly from below the deadband; a deadband is not below zero."""
+    """Also softly from below the deadband; a deadband is not below zero. The deadband's ends are
+    smoothed as its error was found, the others as the map."""
 
     class Shape(Stub):
         def spline(self, *at, **how):
@@ -1129,10 +1129,10 @@ def test_a_map_is_drawn_with_each_number_at_either_end_of_its_interval():
 
     def fit(value, std, low, shift, some):
         return Stub(
-            shape=Shape(kinks=()),
+            shape=Shape(kinks=(), smoothing=1),
             kinks=some,
             shift_std=shift,
-            deadband=Stub(value=value, std=std, interval=(low, 9.0)),
+            deadband=Stub(value=value, std=std, interval=(low, 9.0), smoothing=2),
         )
 
     def drawn(*given) -> Any:
@@ -1140,17 +1140,18 @@ def test_a_map_is_drawn_with_each_number_at_either_end_of_its_interval():
             return list(results._uncertain(fit(*given)))
 
     assert drawn(1.0, 0.0, 1.0, 0.0, []) == []
-    (sides,) = drawn(1.0, 0.3, 1.0, 0.0, [])
-    assert sides == ((((), 1.0 - 0.3 * Z95), 0.0), (((), 1.0 + 0.3 * Z95), 0.0))
-    (sides,) = drawn(1.0, 0.6, 1.0, 0.0, [])
+    (drawing,) = drawn(1.0, 0.3, 1.0, 0.0, [])
+    assert drawing == (((((), 1.0 - 0.3 * Z95), 0.0), (((), 1.0 + 0.3 * Z95), 0.0)), 2)
+    ((sides, _),) = drawn(1.0, 0.6, 1.0, 0.0, [])
     assert sides[0] == (((), 0.0), 0.0)
-    (sides,) = drawn(1.0, 0.0, 0.7, 0.0, [])
-    assert sides == ((((), 0.7, "soft"), 0.0), (((),), 0.0))
-    (sides,) = drawn(1.0, 0.0, 1.0, 0.1, [])
-    assert sides == ((((),), -0.1 * Z95), (((),), 0.1 * Z95))
+    (drawing,) = drawn(1.0, 0.0, 0.7, 0.0, [])
+    assert drawing == (((((), 0.7, "soft"), 0.0), (((),), 0.0)), 1)
+    (drawing,) = drawn(1.0, 0.0, 1.0, 0.1, [])
+    assert drawing == (((((),), -0.1 * Z95), (((),), 0.1 * Z95)), 1)
     ends = [
         [(1.0 * end[0][0][1], end[1]) for end in sides]
-        for sides in drawn(1.0, 0.0, 1.0, 0.0, kinks)
+        for sides, smoothing in drawn(1.0, 0.0, 1.0, 0.0, kinks)
+        if smoothing == 1
     ]
     assert ends == [
         [(3.0 - 0.2 * Z95, 0.0), (3.0 + 0.2 * Z95, 0.0)],
