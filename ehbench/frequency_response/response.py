@@ -34,6 +34,8 @@ class ResponseSettings:
     late: float = setting(0.25, "", "share of a segment from which a delay lowers the gain", "2 %")
     curved: float = setting(2.0, "", "residual of a curved phase over its error", "χ²")
     line: int = setting(4, "", "frequencies from which a slope is fitted", "two more than needed")
+    narrow: float = setting(0.5, "", "share of the lines that shows a sharp curve", "half")
+    sharp: float = setting(9.0, "", "squares by which these differ, of chance", "one in 8000")
     shown: float = setting(1.5, "", "shown beyond the highest frequency that counts", "half as far")
 
 
@@ -254,7 +256,7 @@ def estimate(signals: Signals) -> Response:
 
     Raises:
         InsufficientData: no frequency is coherent enough to count."""
-    frequency, power, transfer, left, freedom, bias = _local(signals)
+    frequency, power, transfer, left, freedom, bias, sharp = _local(signals)
     powered, gain = power > 0.0, np.abs(transfer)
     # half the lines' noise is that of as many segments as the averages stand for
     explained = gain**2 * power
@@ -288,6 +290,7 @@ def estimate(signals: Signals) -> Response:
     fallen = [curve[at] for curve in (gain, curves["gain_low"], curves["gain_high"])]
     turned = [curve[at] for curve in (phase, curves["phase_low"], curves["phase_high"])]
     starts = [item[0] / math.sqrt(2.0) for item in fallen]
+    marks = powered, coherent, sharp & coherent
     result = Response(
         frequency=frequency,
         gain=gain,
@@ -300,7 +303,7 @@ def estimate(signals: Signals) -> Response:
         delay=delay,
         bandwidth=_falls_below(frequency[at], fallen, [starts[0], starts[2], starts[1]]),
         quadrature=_falls_below(frequency[at], turned, [-0.5 * math.pi] * 3),
-        warnings=(*signals.warnings, *_warnings(signals, frequency, powered, coherent), *curved),
+        warnings=(*signals.warnings, *_warnings(signals, frequency, marks), *curved),
         **curves,
     )
     if delay is not None and delay.value > SETTINGS.late * result.segment:
@@ -317,31 +320,18 @@ def transfer_of(signals: Signals) -> np.ndarray:
 
 def _local(signals: Signals) -> tuple[np.ndarray, ...]:
     """(frequency [Hz], power of the input that is not explained by its neighbours, H, power of the
-    output that is left, its complex degrees of freedom, by how much H is no parabola), up to the
-    largest frequency; power is zero and H nan where the input has none."""
+    output that is left, its complex degrees of freedom, by how much H is no parabola, where half
+    the lines have surely another), up to the largest frequency; power is zero and H nan where the
+    input has none."""
     frequency = np.arange(1, signals.size // 2) * signals.rate / signals.size
     frequency = frequency[frequency <= signals.choice.frequency]
     if not frequency.size:
         fields = {"highest": signals.choice.frequency, "segment": signals.size / signals.rate}
         raise InsufficientData(message("frequency_response.no_frequency", **fields))
-    gram = np.zeros((frequency.size, ORDER + 2, ORDER + 2), complex)
-    along, whole, lines = gram[..., :1].copy(), np.zeros(frequency.size), 0
-    for pair, count in zip(signals.pairs, signals.segments, strict=True):
-        if not count:
-            continue
-        x, y = (_windows(item[: count * signals.size], count, frequency.size) for item in pair)
-        powers = (np.arange(1 - count, count) / count)[:, None] ** np.arange(ORDER + 2)
-        begin, _ = np.linalg.qr(powers[:, :ORDER])
-        design, answer = x[..., None] * powers, y[..., None]
-        design, answer = (item - begin @ (begin.T @ item) for item in (design, answer))
-        adjoint = design.conj().swapaxes(1, 2)
-        gram, along = gram + adjoint @ design, along + adjoint @ answer
-        whole = whole + np.sum(np.real(answer) ** 2 + np.imag(answer) ** 2, axis=(1, 2))
-        lines += x.shape[1] - ORDER
+    gram, along, whole, lines = _sums(signals, frequency.size)
     gram, beyond, along = gram[:, :ORDER, :ORDER], gram[:, :ORDER, ORDER:], along[:, :ORDER]
     near = np.real(gram[:, 0, 0])
-    # a ridge so small that it only keeps at zero what the lines do not show
-    inverse = np.linalg.inv(gram + (1e-12 * near + 1e-300)[:, None, None] * np.eye(ORDER))
+    inverse = _inverse(gram)
     solution = inverse @ along
     explained = np.sum(along.conj() * solution, axis=(1, 2)).real
     power = 1.0 / inverse[:, 0, 0].real
@@ -357,7 +347,46 @@ def _local(signals: Signals) -> tuple[np.ndarray, ...]:
         terms = np.column_stack([(third[1:] + third[:-1]) / 12.0, np.diff(transfer, 4) / 24.0])
         terms = np.pad(terms, ((2, 2), (0, 0)), mode="edge")
         bias = np.nan_to_num(np.abs(np.sum((inverse @ beyond)[:, 0] * terms, axis=1)))
-    return frequency, np.where(powered, power, 0.0), transfer, left, freedom, bias
+    # a curve sharper than the frequencies shows no such differences: half the lines have another H
+    gram, along, *_ = _sums(signals, frequency.size, SETTINGS.narrow)
+    half = _inverse(gram[:, :ORDER, :ORDER])
+    apart = np.abs(transfer - (half @ along[:, :ORDER])[:, 0, 0])
+    chance = left / freedom * (half - inverse)[:, 0, 0].real
+    sharp = powered & (apart**2 > SETTINGS.sharp * np.maximum(chance, 1e-300))
+    bias = np.where(sharp, np.maximum(bias, apart), bias)
+    return frequency, np.where(powered, power, 0.0), transfer, left, freedom, bias, sharp
+
+
+def _sums(
+    signals: Signals, count: int, share: float = 1.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """(normal matrices of H's series, their right sides, squares of Y, how many lines) over all
+    logs without their T, at so many frequencies, of a share of the lines about each."""
+    gram = np.zeros((count, ORDER + 2, ORDER + 2), complex)
+    along, whole, lines = gram[..., :1].copy(), np.zeros(count), 0
+    for pair, segments in zip(signals.pairs, signals.segments, strict=True):
+        reach = math.ceil(share * segments)
+        if 2 * reach - 1 <= ORDER:
+            continue
+        some = slice(segments - reach, segments + reach - 1)
+        x, y = (
+            _windows(item[: segments * signals.size], segments, count)[:, some] for item in pair
+        )
+        powers = (np.arange(1 - reach, reach) / segments)[:, None] ** np.arange(ORDER + 2)
+        begin, _ = np.linalg.qr(powers[:, :ORDER])
+        design, answer = x[..., None] * powers, y[..., None]
+        design, answer = (item - begin @ (begin.T @ item) for item in (design, answer))
+        adjoint = design.conj().swapaxes(1, 2)
+        gram, along = gram + adjoint @ design, along + adjoint @ answer
+        whole = whole + np.sum(np.real(answer) ** 2 + np.imag(answer) ** 2, axis=(1, 2))
+        lines += x.shape[1] - ORDER
+    return gram, along, whole, lines
+
+
+def _inverse(gram: np.ndarray) -> np.ndarray:
+    """With a ridge so small that it only keeps at zero what the lines do not show."""
+    ridge = 1e-12 * np.real(gram[:, 0, 0]) + 1e-300
+    return np.linalg.inv(gram + ridge[:, None, None] * np.eye(ORDER))
 
 
 def _windows(values: np.ndarray, count: int, frequencies: int) -> np.ndarray:
@@ -436,8 +465,11 @@ def _falls_below(
 
 
 def _warnings(
-    signals: Signals, frequency: np.ndarray, powered: np.ndarray, coherent: np.ndarray
+    signals: Signals, frequency: np.ndarray, marks: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> list[Message]:
+    """Notes on frequencies that have no power, are not coherent, or lie too far apart for the
+    response there."""
+    powered, coherent, sharp = marks
     warnings = []
     fields: dict[str, Any] = {"all": powered.size}
     if not powered.all():
@@ -448,6 +480,10 @@ def _warnings(
         fields |= {"ranges": _ranges(frequency, low), "count": int(low.sum())}
         limit = signals.choice.coherence
         warnings.append(message("frequency_response.low_coherence", limit=limit, **fields))
+    if sharp.any():
+        fields = {"ranges": _ranges(frequency, sharp), "segment": signals.size / signals.rate}
+        longer = 2.0 * signals.size / signals.rate
+        warnings.append(message("frequency_response.coarse", longer=longer, **fields))
     return warnings
 
 

@@ -17,7 +17,7 @@ METHODS: Mapping[str, int] = {
     "flow_maps": 12,
     "output_error": 15,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
-    "frequency_response": 4,
+    "frequency_response": 5,
     "diagnosis": 14,
     "validation": 13,
     "control": 4,  # controllers and their monitor

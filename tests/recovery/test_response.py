@@ -117,6 +117,30 @@ def test_gain_and_phase_lie_in_their_intervals_as_often_as_they_should(kind, noi
     assert np.mean(hits["quadrature"]) >= 0.9 and np.mean(hits["bandwidth"] or 1.0) >= 0.9
 
 
+@pytest.mark.parametrize(("segment", "told"), [(1.0, True), (4.0, False)])
+def test_a_resonance_sharper_than_the_frequencies_is_told_and_widens_the_intervals(segment, told):
+    """A pair of 5 Hz and damping ratio 0.1, 1 Hz wide, in frequencies 1 Hz apart and closer."""
+    omega = 2.0 * math.pi * 5.0
+    pair = [omega**2], [1.0, 2.0 * 0.1 * omega, omega**2]
+    num, den, _ = signal.cont2discrete(pair, 1.0 / RATE)
+    holds = []
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        x = INPUTS["noise"](random, np.arange(round(40.0 * RATE)) / RATE)
+        y = signal.lfilter(np.squeeze(num), den, x)
+        y += 0.02 * y.std() * random.standard_normal(x.size)
+        noisy = Record(np.arange(x.size) / RATE, dict(zip(NAMES, (x, y), strict=True)))
+        found = estimate(signals((f"log_{seed}", noisy), frequency=15.0, segment=segment))
+        texts = [text for text in found.warnings if text.key == "frequency_response.coarse"]
+        assert len(texts) == told and (not told or texts[0].fields["longer"] == 2.0 * segment)
+        _, exact = signal.freqz(np.squeeze(num), den, found.frequency, fs=RATE)
+        near = np.abs(found.frequency - 5.0) < 2.5
+        holds += list(
+            (found.gain_low < np.abs(exact))[near] & (np.abs(exact) < found.gain_high)[near]
+        )
+    assert np.mean(holds) > 0.9
+
+
 def delayed(seed: int, delay: int, noise: float = 0.5) -> tuple[str, Record]:
     """A pure delay behind a gain of −2, with noise."""
     random = np.random.default_rng(seed)

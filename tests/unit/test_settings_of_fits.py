@@ -398,6 +398,24 @@ def stretches(hole):
         return len(held_out._same_noise(Record(t, {"v": y}), rows))
 
 
+def sharp(errors):
+    """(whether half the lines have another H, so many standard errors away; which share they are):
+    of all lines H is 1 ± √0.5, of the others' power half as much is left."""
+    shares = []
+
+    def sums(_, __, share=1.0):
+        shares.append(share)
+        size, value = (2.0, 1.0) if share == 1.0 else (1.0, 1.0 + errors * math.sqrt(0.5))
+        along = np.array([size * value, 0.0, 0.0, 0.0, 0.0])[None, :, None]
+        return size * np.eye(5)[None], along, np.array([3.0]), 4
+
+    signals = Stub(size=4, rate=4.0, choice=response.Averaging())
+    with answers(response, _sums=sums):
+        *_, bias, marked = response._local(signals)
+    assert math.isclose(bias[0], marked[0] * errors * math.sqrt(0.5), abs_tol=1e-9)
+    return [bool(marked[0]), shares[1]]
+
+
 ROWS = [
     (descent.SETTINGS, "damping_min", lambda: stepped(5e-9)[0], 1e-9),
     (descent.SETTINGS, "damping_max", lambda s: stepped(s) is None, (0.9e9, 1.1e9), [False, True]),
@@ -436,6 +454,8 @@ ROWS = [
     (frequency_domain.SETTINGS, "surely", late, (3.8, 4.2), [0, 1]),
     (frequency_domain.SETTINGS, "late", lambda s: late(9.0, s), (0.23, 0.27), [0, 1]),
     (response.SETTINGS, "curved", bent, (1.9, 2.1), [0, 1]),
+    (response.SETTINGS, "sharp", lambda n: sharp(n)[0], (2.9, 3.1), [False, True]),
+    (response.SETTINGS, "narrow", lambda: sharp(1.0)[1], 0.5),
     (comparison.SETTINGS, "rough", lambda a: tracks(1.0, a), (-0.47, -0.53), [False, True]),
     (held_out.SETTINGS, "probes", probes, 24),
     (estimates.SETTINGS, "near", at_bound, (4.7e-3, 5.3e-3), [(0,), ()]),
