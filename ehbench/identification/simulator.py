@@ -236,10 +236,10 @@ def _counts(
             minimum = np.array(list(commands.values()))
             starts = [window.start for window in transients(record.t, table, minimum=minimum)]
         stops = np.array([*starts, record.t.size])
-        for first in np.flatnonzero(lowest < limit):  # void until a command changes
-            if not void[first]:
-                stop = int(stops[np.searchsorted(stops, first, side="right")])
-                void[max(0, first - ahead) : stop + ahead] = True
+        empty = np.flatnonzero(lowest < limit)
+        windows, firsts = np.unique(np.searchsorted(stops, empty, "right"), return_index=True)
+        for first, stop in zip(empty[firsts], stops[windows], strict=True):
+            void[max(0, first - ahead) : stop + ahead] = True  # until a command changes
         if void.any():
             counts[np.ix_(void, np.array(columns))] = False
             fields = {"t": record.t[int(np.argmax(void))], "share": 100 * np.mean(void)}

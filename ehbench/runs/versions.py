@@ -15,7 +15,7 @@ METHODS: Mapping[str, int] = {
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 11,
-    "output_error": 15,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 16,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 4,
     "diagnosis": 14,
