@@ -1486,7 +1486,7 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
         {"press.p_head": empty, "press.p_rod": high, "press.x": np.full(600, 0.1),
          "press.servo.command": command},
     )  # fmt: skip
-    ahead = round(simulator.SETTINGS.emptying / tick)
+    ahead = round(observations.SETTINGS.emptying / tick)
     counts, (note,) = simulator._counts("log", SLIDE, record, channels)
     void = np.zeros(600, bool)
     void[100 - ahead : 300 + ahead] = True
