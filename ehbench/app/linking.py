@@ -37,7 +37,7 @@ def wire(rig: Path, kinds: Sequence[str], rate: float, out: Path | None) -> str:
 
     Raises:
         InputError: the file is none of a rig."""
-    if (kind := kind_of(rig)) != "rig":
+    if rig.is_file() and (kind := kind_of(rig)) != "rig":
         raise InputError(message("links.wire_rig", kind=kind), file=rig)
     built = layout.Layout.of(load_rig(rig))
     if out is None:

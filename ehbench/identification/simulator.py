@@ -23,12 +23,12 @@ from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.stiffness import short_steps
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, initial_state_of
-from ehbench.preprocessing.observations import SETTINGS as OBSERVED
 from ehbench.preprocessing.observations import (
     alternatives,
     channels_asked,
     column,
     count_error,
+    empty_chambers,
     least_changes,
     payload_of,
     position_of,
@@ -37,7 +37,7 @@ from ehbench.preprocessing.plausibility import LIMITED, at_limit
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
-from ehbench.signals.series import transients, white_noise
+from ehbench.signals.series import white_noise
 from ehbench.vocabulary import Message, message, quantity, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
 from ehbench.vocabulary.messages import of_log
@@ -57,9 +57,6 @@ BENT = ("opening", "rod_force")
 class LogSettings:
     """Which samples of a log count, and what moves in it."""
 
-    emptying: float = setting(
-        0.05, "s", "time about an empty chamber in which samples do not count", "it fills"
-    )
     moves: float = setting(0.01, "", "part of the stroke from which a cylinder moves", "slips")
 
 
@@ -218,32 +215,12 @@ def _counts(
     some do not): those of an empty chamber and of a sensor at its end do not."""
     messages: list[str] = []
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
-    limit = OBSERVED.empty * float(rig.oil.cavitation_pressure)
-    ahead = round(SETTINGS.emptying / record.sample_time)
-    for cylinder in rig.cylinder:
-        ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
-        pressures = [record[channel] for channel in ends if channel in record]
-        columns = [
-            i for i, channel in enumerate(channels) if channel.startswith(f"{cylinder.name}.")
-        ]
-        if not pressures or not columns:
-            continue
-        void, lowest = np.zeros(record.t.size, dtype=bool), np.min(pressures, axis=0)
-        commands = least_changes(cylinder, record)
-        starts: list[int] = []
-        if commands:
-            table = np.column_stack([record[channel] for channel in commands])
-            minimum = np.array(list(commands.values()))
-            starts = [window.start for window in transients(record.t, table, minimum=minimum)]
-        stops = np.array([*starts, record.t.size])
-        for first in np.flatnonzero(lowest < limit):  # void until a command changes
-            if not void[first]:
-                stop = int(stops[np.searchsorted(stops, first, side="right")])
-                void[max(0, first - ahead) : stop + ahead] = True
-        if void.any():
+    for cylinder, void in empty_chambers(rig, record):
+        columns = [i for i, name in enumerate(channels) if name.startswith(f"{cylinder}.")]
+        if columns:
             counts[np.ix_(void, np.array(columns))] = False
             fields = {"t": record.t[int(np.argmax(void))], "share": 100 * np.mean(void)}
-            fields |= {"log": name, "cylinder": cylinder.name}
+            fields |= {"log": name, "cylinder": cylinder}
             messages.append(message("identification.cavitates", **fields))
     for i, channel in enumerate(channels):
         if channel in record and quantity(channel).unit in LIMITED:

@@ -1,7 +1,7 @@
 """What a log shows of a cylinder, and how: the rules that identification and validation share."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.record import Record, payloads_of
 from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import RECORDED, SUPPLY, supplied, tied_words
-from ehbench.signals.series import lowpass, rms, white_noise
+from ehbench.signals.series import lowpass, rms, transients, white_noise
 from ehbench.vocabulary import InputError, Message, message, setting
 from ehbench.vocabulary.quantities import GAUGES
 
@@ -40,6 +40,9 @@ class ObservationSettings:
     clear_cycles: float = setting(1.5, "", "least cycles of a clear ringing", "else drift")
     clear_damping: float = setting(0.35, "", "largest damping of a clear ringing", "else drift")
     empty: float = setting(0.5, "", "empty chamber, of cavitation pressure", "half its slope")
+    emptying: float = setting(
+        0.05, "s", "time about an empty chamber in which samples do not count", "it fills"
+    )
 
 
 SETTINGS = ObservationSettings()
@@ -124,6 +127,29 @@ def least_changes(cylinder: Cylinder, record: Record) -> dict[str, float]:
     """`least_change` by recorded command channel of a cylinder."""
     channels = {f"{cylinder.name}.{valve.name}.command": valve for valve in cylinder.valve}
     return {name: least_change(valve) for name, valve in channels.items() if name in record}
+
+
+def empty_chambers(rig: Rig, record: Record) -> Iterator[tuple[str, np.ndarray]]:
+    """Each cylinder of which a chamber empties, and which samples follow from that, of which the
+    model knows only a floor of pressure: from just before until just after its next command."""
+    limit = SETTINGS.empty * float(rig.oil.cavitation_pressure)
+    ahead = round(SETTINGS.emptying / record.sample_time)
+    for cylinder in rig.cylinder:
+        ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
+        pressures = [record[channel] for channel in ends if channel in record]
+        empty = np.flatnonzero(np.min(pressures, axis=0) < limit) if pressures else np.empty(0)
+        if not empty.size:
+            continue
+        commands, starts = least_changes(cylinder, record), []
+        if commands:
+            table = np.column_stack([record[channel] for channel in commands])
+            minimum = np.array(list(commands.values()))
+            starts = [window.start for window in transients(record.t, table, minimum=minimum)]
+        stops, void = np.array([*starts, record.t.size]), np.zeros(record.t.size, dtype=bool)
+        windows, firsts = np.unique(np.searchsorted(stops, empty, "right"), return_index=True)
+        for first, stop in zip(empty[firsts], stops[windows], strict=True):
+            void[max(0, first - ahead) : stop + ahead] = True
+        yield cylinder.name, void
 
 
 def commanded(model: Model, record: Record) -> tuple[str, ...]:

@@ -325,12 +325,12 @@ class Prepared:
                     fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit}
                     sentences += message("trial.beyond_limit", **fields)
         seconds = (span.stop - span.start - 1) / machine.rate
-        stood = {True: "it stood still", False: "it still moved", None: "no sensor shows motion"}
+        stood = {True: "it stood still", False: "it still moved"}
         sentence = message(
             "trial.after_stop",
             shut=f"within {ramp:.3g} s" if ramp else "at once",
             seconds=seconds,
-            stood=stood[still],
+            stood="no sound sensor says whether it stands" if still is None else stood[still],
             beyond=sentences,
         )
         return Aftermath(ramp, seconds, still, tuple(beyond), sentence)

@@ -304,11 +304,16 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
 
 
 def unmoved_of(record: Record, item: Driven, rows: int) -> dict[str, float] | None:
-    """`unmoved_measures` up to a row of a cylinder whose valves were commanded."""
-    if item.cylinder not in commanded(item.design.model, record):
+    """`unmoved_measures` up to a row, of a cylinder whose valves were commanded; None where its
+    speed says otherwise."""
+    name, t = item.cylinder, record.t[:rows]
+    if name not in commanded(item.design.model, record):
         return None
-    names = [f"{item.cylinder}.{name}" for name in ("x", "x_desired")]
-    return unmoved_measures(record.t[:rows], *(record[name][:rows] for name in names))
+    strokes = [record[f"{name}.x"][:rows]]
+    if f"{name}.v" in record:
+        strokes.append(np.cumsum(record[f"{name}.v"][:rows]) * (t[1] - t[0]))
+    said = [unmoved_measures(t, x, record[f"{name}.x_desired"][:rows]) for x in strokes]
+    return None if None in said else said[0]
 
 
 def _trial_warnings(

@@ -1486,7 +1486,7 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
         {"press.p_head": empty, "press.p_rod": high, "press.x": np.full(600, 0.1),
          "press.servo.command": command},
     )  # fmt: skip
-    ahead = round(simulator.SETTINGS.emptying / tick)
+    ahead = round(observations.SETTINGS.emptying / tick)
     counts, (note,) = simulator._counts("log", SLIDE, record, channels)
     void = np.zeros(600, bool)
     void[100 - ahead : 300 + ahead] = True
@@ -1497,6 +1497,9 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
     empty[0] = 1.1 * limit
     counts, _ = simulator._counts("log", SLIDE, record, channels)
     np.testing.assert_array_equal(counts[:, 0], np.arange(600) >= 300 + ahead)
+    empty[300 + ahead - 1] = 1.1 * limit  # while samples before it do not count either
+    counts, _ = simulator._counts("log", SLIDE, record, channels)
+    assert not counts.any(), "no command follows"
     full = record.channels | {"press.p_head": np.full(600, 0.9 * limit)}
     counts, notes = simulator._counts("log", SLIDE, Record(record.t, full), channels)
     assert counts.all() and not notes

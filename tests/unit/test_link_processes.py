@@ -572,7 +572,10 @@ def test_a_layout_of_a_recipe_is_refused(trial):
 
 
 def test_every_layout_that_is_asked_for_is_written(tmp_path):
-    written = wire(ROOT / "recipes/rigs/slide_servo.toml", ("c", "m", "csv"), 1000.0, tmp_path)
+    run = tmp_path / "run"  # the folder of a run with a rig
+    run.mkdir()
+    shutil.copy(ROOT / "recipes/rigs/slide_servo.toml", run / "rig.toml")
+    written = wire(run, ("c", "m", "csv"), 1000.0, tmp_path)
     names = [Path(line) for line in written.splitlines()]
     assert all(name.is_file() for name in names)
     assert {name.suffix for name in names} == {".h", ".c", ".m", ".csv"}

@@ -4,6 +4,7 @@ import io
 import math
 import struct
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -670,6 +671,21 @@ def test_a_stop_of_a_machine_that_goes_the_other_way_names_the_command(monkeypat
         if sign:
             assert "command" in told[0].fields["cause"]
             assert "press.servo" in told[0].fields["cause"]
+
+
+def test_a_stroke_that_stays_while_the_speed_goes_on_is_no_standstill():
+    """Where both stay it is."""
+    limits = {"limits": {"stroke_margin": "20 mm", "following_error": "10 mm"}}
+    q, x, v = (UP.index(f"press.{word}") for word in ("q", "x", "v"))
+
+    def stuck(numbers, _, both=False):
+        numbers[[q, x]], numbers[v] = 0.16, 0.0 if both else numbers[v]
+        return numbers
+
+    for change, keys in ((stuck, []), (partial(stuck, both=True), ["trial.unmoved"])):
+        result, _, _ = over_link(trial("bench"), on_sample=change, **limits)
+        assert result.facts.stop.limit == "following_error"
+        assert [note.key for note in result.facts.warnings] == keys
 
 
 def test_a_stop_of_a_machine_with_exchanged_sensors_names_them():

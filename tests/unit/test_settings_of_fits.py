@@ -23,6 +23,7 @@ from ehbench.identification import estimate as estimates
 from ehbench.identification import means as averages
 from ehbench.identification.results import Lean, Moved
 from ehbench.plant.model import Model
+from ehbench.preprocessing import observations
 from ehbench.validation import baseline, held_out
 from tests import analytic_fit
 from tests.settings import answers, each_shows, first_call
@@ -450,7 +451,7 @@ ROWS = [
     (sensitivity.SETTINGS, "surely", lambda n: doubts(n)[0], (3.8, 4.2), [0, 1]),
     (sensitivity.SETTINGS, "alike", lambda s: doubts(shares=(0.6, s))[1], (0.28, 0.32), [1, 2]),
     (sensitivity.SETTINGS, "looked", lambda: looked_at(20), 8),
-    (simulator.SETTINGS, "emptying", void, 101),
+    (observations.SETTINGS, "emptying", void, 101),
     (frequency_domain.SETTINGS, "surely", late, (3.8, 4.2), [0, 1]),
     (frequency_domain.SETTINGS, "late", lambda s: late(9.0, s), (0.23, 0.27), [0, 1]),
     (response.SETTINGS, "curved", bent, (1.9, 2.1), [0, 1]),

@@ -165,6 +165,19 @@ def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):
     assert of == {"boom.hepc.command", "boom.rect.command"}
 
 
+def test_a_log_in_which_a_chamber_empties_says_from_when_and_how_long(arm, boom):
+    part = boom.between(0.0, 1.3)  # shut at speed, its valves empty a chamber later
+    assert "validation.cavitates" not in keys(judged(arm, [("boom", part)]).logs[0].warnings)
+    pressure = boom["boom.p_head"].copy()
+    pressure[500:520] = -8e4
+    given = Record(boom.t, boom.channels | {"boom.p_head": pressure}, boom.meta)
+    warnings = judged(arm, [("boom", given.between(0.0, 1.3))]).logs[0].warnings
+    (note,) = (note for note in warnings if getattr(note, "key", "") == "validation.cavitates")
+    assert note.fields["cylinder"] == "boom" and note.fields["t"] == pytest.approx(0.45)
+    # from 50 ms before it is seen until the end, as no command follows
+    assert note.fields["share"] == pytest.approx(100.0 * (1.3 - 0.45) / 1.3, abs=0.2)
+
+
 def test_logs_that_do_not_count_are_marked(arm, boom, swing):
     stiff = arm.with_values({"bulk_modulus": 1.5 * 2.71e8})
     alone = judged(arm, [("boom", boom)], fitted_on=["boom"])
