@@ -628,6 +628,7 @@ def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
     [
         *[(0.0, 57.3, "preprocessing.angle_degrees"), (0.48, -1.0, "preprocessing.angle_turned")],
         (50.0, 1.0, "preprocessing.angle_shifted"),
+        (2.0 * np.pi, 1.0, "preprocessing.angle_wound"),
     ],
 )
 def test_angles_that_the_stroke_does_not_allow_are_refused(shift, scale, says):
