@@ -403,6 +403,7 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
                 yield _turned("gauge_turned", name)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
+    yield from rates_of_other_units(record, rig)
 
 
 def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
@@ -436,6 +437,26 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
         turned = -slack * stroke <= -high and -low <= (1.0 + slack) * stroke
         key = "preprocessing.stroke_turned" if turned else "preprocessing.stroke_shifted"
         yield message(key, **fields)
+
+
+def rates_of_other_units(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on positions that go along with the sum of their rates, but several times as far."""
+    t = record.t - np.mean(record.t)
+    for cylinder in rig.cylinder:
+        for words in (("q", "qd"), ("x", "v")):
+            seen = [channel for _, channel, _ in _recorded(record, cylinder, *words)]
+            if len(seen) < 2:
+                continue
+            ways = [_way(record, channel) for channel in seen]
+            place, summed = (y - np.polyval(np.polyfit(t, y, 1), t) for y in ways)
+            if np.ptp(summed) <= SETTINGS.travel * _travel_of(cylinder, words[0]):
+                continue
+            product, square = float(np.dot(place, summed)), float(np.dot(summed, summed))
+            along = abs(product) > -SETTINGS.against * np.linalg.norm(place) * math.sqrt(square)
+            ratio = abs(product) / square
+            if along and not 1.0 / SETTINGS.apart <= ratio <= SETTINGS.apart:
+                fields = {"place": seen[0], "rate": seen[1], "ratio": ratio}
+                yield message("preprocessing.rate_of_another_unit", **fields)
 
 
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
