@@ -27,6 +27,7 @@ from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record, resampled
 from ehbench.data.text import head_of
+from ehbench.signals.oddities import continuous
 from ehbench.signals.series import lowpass, stretches_of
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
 from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, plural, quantity
@@ -142,13 +143,18 @@ def si_of(
         key = "data.unit_of_file" if column.unit and not unit else "data.column_error"
         text = message(key, name=name, error=error.message, unit=column.unit)
         where = columns.at("names", name) or {"file": path}
-        raise UnitError(text, hint=error.hint, **where) from None
+        gauge = column.absolute and message("vocabulary.instead_gauge", gauge=column.absolute)
+        raise UnitError(text, hint=gauge or error.hint, **where) from None
     return gain * column.values + zero
 
 
 def overruled(name: str, mapped: MappedColumn, column: SourceColumn, path: Path) -> list[Message]:
-    """A note on a column whose unit in the file is another than in the map."""
-    if not mapped.overrules(unit := column.known_unit):
+    """A note on a column whose unit in the file is another than in the map, or absolute where the
+    map takes nothing away."""
+    unit = column.known_unit
+    if column.absolute and mapped.unit and not (mapped.offset or mapped.neutral or mapped.from_):
+        unit = f"{column.absolute}a"
+    elif not mapped.overrules(unit):
         return []
     fields = {"file": path.name, "name": name, "unit": unit}
     return [message("data.unit_overruled", mapped=mapped.unit, **fields)]
@@ -220,6 +226,8 @@ class _Mapping:
         lines, column = self.source.tables[self.places[name][0]].lines, self.column(name)
         if mapped.channel == "t":
             column = replace(column, values=unwrapped(column.values))
+        elif mapped.channel.endswith((".q", ".x")):
+            column = replace(column, values=continuous(column.values))
         return si_of(name, mapped, column, self.columns, self.path, lines)
 
     def _timed(self, index: int, time: str) -> Group:

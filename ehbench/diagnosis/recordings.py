@@ -10,6 +10,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.plant.foreign import model_of
+from ehbench.plant.ties import RECORDED, SUPPLY, supplied
 from ehbench.preprocessing.observations import column, payload_of
 from ehbench.preprocessing.plausibility import off_pins
 from ehbench.signals.series import correlation_band
@@ -28,8 +29,8 @@ STILL = 0.05  # share of the largest speed below which no direction is told
 
 
 def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
-    """A note on a log that is followed much better with another payload, or with two channels
-    exchanged, with what to write.
+    """A note on a log that is followed much better with another payload, its own supply pressure,
+    or two channels exchanged, with what to write.
 
     Args:
         case: the log and its model.
@@ -40,7 +41,8 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
     case = replace(case, refined=False)
     left = _left(case)
     astray = left is None or is_astray(case, left)
-    best = _best(case, left, (*_carrying(case), *(_exchanged(case) if astray else ())))
+    others = (*_carrying(case), *_supplied(case), *(_exchanged(case) if astray else ()))
+    best = _best(case, left, others)
     if best is None and astray and before is not None:
         before = replace(before, refined=False)
         best = _best(before, _left(before), _exchanged(before))
@@ -99,6 +101,13 @@ def _carrying(case: Case) -> Iterator[Otherwise]:
         if load != said:
             model = model_of(rig, case.maps, None if load == NONE else load)
             yield replace(case, model=model), "carried", {"load": load, "said": said}
+
+
+def _supplied(case: Case) -> Iterator[Otherwise]:
+    """A log whose supply has the pressure that was recorded."""
+    if "p_supply" in case.record and not supplied(case.record):
+        record = replace(case.record, meta={**case.record.meta, SUPPLY: RECORDED})
+        yield replace(case, record=record), "supplied", {}
 
 
 def _exchanged(case: Case) -> Iterator[Otherwise]:

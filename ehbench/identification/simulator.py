@@ -33,7 +33,7 @@ from ehbench.preprocessing.observations import (
     payload_of,
     position_of,
 )
-from ehbench.preprocessing.plausibility import LIMITED, at_limit
+from ehbench.preprocessing.plausibility import LIMITED, at_limit, held
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
@@ -225,6 +225,7 @@ def _counts(
     for i, channel in enumerate(channels):
         if channel in record and quantity(channel).unit in LIMITED:
             counts[at_limit(record[channel]), i] = False
+        counts[held(record, channel), i] = False
     return counts, messages
 
 

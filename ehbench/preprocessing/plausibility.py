@@ -18,7 +18,7 @@ from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
 from ehbench.preprocessing.observations import noise_of
-from ehbench.signals.series import white_noise
+from ehbench.signals.series import stretches_of, white_noise
 from ehbench.vocabulary import VOCABULARY, Message, from_si, listed, message, setting
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
 from ehbench.vocabulary.quantities import GAUGES
@@ -226,7 +226,9 @@ def refuse_angles(name: str, record: Record, model: Model) -> None:
             continue
         q, (low, high) = record[channel], sorted(model.stroke_range(index))
         middle, slack = float(np.median(q)), SETTINGS.travel * (high - low)
-        read = {"": middle, "turned": -middle, "degrees": math.radians(middle), "shifted": low}
+        wound = middle - 2.0 * math.pi * math.copysign(1.0, middle)
+        read = {"": middle, "turned": -middle, "wound": wound}
+        read |= {"degrees": math.radians(middle), "shifted": low}
         like = next(key for key, x in read.items() if low - slack <= x <= high + slack)
         if like:
             shown = {"low": float(q.min()), "high": float(q.max()), "first": low, "last": high}
@@ -374,6 +376,10 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
                 yield message("preprocessing.stands_still", **fields)
             elif pushed and still:
                 yield message("preprocessing.stands_still_pushed", **fields)
+        if (there := held(record, f"{name}.q")).any():
+            first, share = int(np.argmax(there)), 100.0 * float(np.mean(there))
+            fields = {"cylinder": name, "share": share, "time": record.t[first]}
+            yield message("preprocessing.held", **fields)
     yield from constant_lines(record, rig)
     names = [f"{c.name}.{word}" for c in rig.cylinder for word in (*_ENDS, *GAUGES)]
     for name in [*names, "p_supply"]:
@@ -397,6 +403,7 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
                 yield _turned("gauge_turned", name)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
+    yield from rates_of_other_units(record, rig)
 
 
 def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
@@ -432,6 +439,26 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
         yield message(key, **fields)
 
 
+def rates_of_other_units(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on positions that go along with the sum of their rates, but several times as far."""
+    t = record.t - np.mean(record.t)
+    for cylinder in rig.cylinder:
+        for words in (("q", "qd"), ("x", "v")):
+            seen = [channel for _, channel, _ in _recorded(record, cylinder, *words)]
+            if len(seen) < 2:
+                continue
+            ways = [_way(record, channel) for channel in seen]
+            place, summed = (y - np.polyval(np.polyfit(t, y, 1), t) for y in ways)
+            if np.ptp(summed) <= SETTINGS.travel * _travel_of(cylinder, words[0]):
+                continue
+            product, square = float(np.dot(place, summed)), float(np.dot(summed, summed))
+            along = abs(product) > -SETTINGS.against * np.linalg.norm(place) * math.sqrt(square)
+            ratio = abs(product) / square
+            if along and not 1.0 / SETTINGS.apart <= ratio <= SETTINGS.apart:
+                fields = {"place": seen[0], "rate": seen[1], "ratio": ratio}
+                yield message("preprocessing.rate_of_another_unit", **fields)
+
+
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
     """Whether a cylinder's command changes, and its pressures by a good part of the supply's."""
     requested = any(
@@ -463,6 +490,29 @@ def at_limit(y: np.ndarray) -> np.ndarray:
         if cut.any():
             result |= y == end
     return result
+
+
+def held(record: Record, channel: str) -> np.ndarray:
+    """Where all readings of a channel's cylinder stand at those of the sample before, shape
+    (samples,): several in a row, until one jumps and goes on slowly, as a recorder holds them when
+    messages are lost. Coarse readings, and those of slow messages, stand more often than that."""
+    owner, result = channel.rpartition(".")[0], np.zeros(record.t.size, bool)
+    readings = [y for name, y in record.channels.items() if name.rpartition(".")[0] == owner]
+    moving = [y for y in readings if np.ptp(y) > 0.0]
+    if len(moving) < 2:
+        return result
+    steps = np.abs(np.diff(np.column_stack(moving), axis=0))
+    usual = np.ma.median(np.ma.masked_equal(steps, 0.0), axis=0)
+    counts = [0, 0]  # of stretches that end slowly, and in a jump
+    for first, last in stretches_of((steps == 0.0).all(axis=1)):
+        after = steps[last + 1 : last + 1 + SETTINGS.limit_rise]
+        if last - first + 1 >= SETTINGS.limit_run and after.size:
+            largest = SETTINGS.limit_share * after.max(axis=0)
+            result[first + 1 : last + 1] = np.any(
+                steps[last] > np.maximum(SETTINGS.limit_steps * usual, largest)
+            )
+        counts[int(result[last])] += 1
+    return result & (counts[0] < counts[1])
 
 
 def off_pins(record: Record, model: Model) -> dict[str, float]:

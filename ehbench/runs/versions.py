@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 METHODS: Mapping[str, int] = {
-    "logs": 5,  # reading of logs and files, gaps, sensor terms, initial states
+    "logs": 6,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 12,
     "output_error": 16,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 5,
-    "diagnosis": 14,
+    "diagnosis": 15,
     "validation": 14,
     "control": 4,  # controllers and their monitor
     "tuning": 6,

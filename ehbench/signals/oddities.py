@@ -41,12 +41,10 @@ def oddities(values: np.ndarray) -> list[Oddity]:
     if y.size < _FEWEST or not np.ptp(y) > 0.0:
         return []
     steps = np.diff(y)
-    for turn in _TURNS:  # which begins again at its other end
-        near = np.abs(np.abs(steps) - turn) < SETTINGS.wrap * turn
-        small = np.abs(steps[~near]) < SETTINGS.wrap * turn
-        if near.any() and near.mean() < SETTINGS.share and np.ptp(y) <= turn * 1.01 and small.all():
-            at = int(np.argmax(near)) + 1
-            return [Oddity("wrap", int(np.count_nonzero(near)), int(rows[at]), float(y[at]))]
+    if turn := _turn(y):
+        near = np.abs(steps) > 0.5 * turn
+        at = int(np.argmax(near)) + 1
+        return [Oddity("wrap", int(near.sum()), int(rows[at]), float(y[at]))]
     results = []
     usual = float(np.percentile(np.abs(steps), 99))
     for end in (float(y.min()), float(y.max())):
@@ -73,3 +71,23 @@ def oddities(values: np.ndarray) -> list[Oddity]:
         at = np.flatnonzero(odd) + 1
         results.append(Oddity("jump", at.size, int(rows[at[0]]), float(y[at[0]])))
     return results
+
+
+def _turn(y: np.ndarray) -> float:
+    """The turn after which a signal begins again at its other end; 0 of one that goes on."""
+    steps = np.abs(np.diff(y))
+    for turn in _TURNS:
+        near = np.abs(steps - turn) < SETTINGS.wrap * turn
+        small = steps[~near] < SETTINGS.wrap * turn
+        if near.any() and near.mean() < SETTINGS.share and np.ptp(y) <= turn * 1.01 and small.all():
+            return turn
+    return 0.0
+
+
+def continuous(values: np.ndarray) -> np.ndarray:
+    """A signal that goes on where it begins again after a turn; any other as it is."""
+    rows = np.flatnonzero(np.isfinite(values))
+    if turn := _turn(values[rows]):
+        values = values.copy()
+        values[rows] = np.unwrap(values[rows], period=turn)
+    return values

@@ -118,10 +118,10 @@ def unwrapped(counts: np.ndarray) -> np.ndarray:
     y = counts[rows]
     steps = np.diff(y)
     back = steps < 0.0
-    if not back.any() or back.all() or y.min() < 0.0 or np.any(y != np.rint(y)):
+    if not back.any() or back.all() or np.any(y != np.rint(y)):
         return counts
     for turn in _TURNS:
-        if y.max() < turn and np.all(steps[back] + turn <= steps[~back].max()):
+        if np.ptp(y) < turn and np.all(steps[back] + turn <= steps[~back].max()):
             result = counts.copy()
             result[rows[1:]] += turn * np.cumsum(back)
             return result

@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.data.record import Record, block_averages
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import column, noise_of
-from ehbench.preprocessing.plausibility import LIMITED, at_limit
+from ehbench.preprocessing.plausibility import LIMITED, at_limit, held
 from ehbench.signals import series
 from ehbench.validation.results import ChannelResult, Correlation
 from ehbench.vocabulary import message, quantity, setting
@@ -45,7 +45,8 @@ class Pair(NamedTuple):
 
 def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
     """Both sides of a channel, None if the log cannot give it. Where a pressure or force was
-    recorded at the end of its sensor's range, the simulation ends there too."""
+    recorded at the end of its sensor's range, the simulation ends there too; where a recorder held
+    its readings, it is what they are."""
     recorded, shown = (column(item, channel, record) for item in (record, simulated))
     if recorded is None or shown is None:
         return None
@@ -53,6 +54,7 @@ def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
         limit = at_limit(recorded)
         inside = np.clip(shown, np.min(recorded), np.max(recorded))
         shown = np.where(limit, inside, shown)
+    shown = np.where(held(record, channel), recorded, shown)
     return Pair(recorded, shown, channel not in record)
 
 

@@ -42,10 +42,14 @@ def listed(items: Iterable[Any], maximum: int = 4, kind: str = "") -> str:
 
 def numbered(names: Iterable[str], joint: str = "_") -> list[str]:
     """The names, those that come again numbered from 2 on."""
-    results: list[str] = []
+    results: dict[str, None] = {}
+    last: dict[str, int] = {}  # by name, so that as many as a file may have take no squared time
     for name in names:
-        results.append(unlike(name, results, joint))
-    return results
+        count = last.get(name, 0) + 1
+        while (word := f"{name}{joint}{count}" if count > 1 else name) in results:
+            count += 1
+        results[word], last[name] = None, count
+    return list(results)
 
 
 def shortened(value: Any, maximum: int) -> str:

@@ -15,7 +15,7 @@ from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.parts.friction.stribeck import Stribeck
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing.plausibility import outside_stroke, undriven
+from ehbench.preprocessing.plausibility import notes_on_channels, outside_stroke, undriven
 from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.report.terminal import Answer
@@ -628,8 +628,22 @@ def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
     [
         *[(0.0, 57.3, "preprocessing.angle_degrees"), (0.48, -1.0, "preprocessing.angle_turned")],
         (50.0, 1.0, "preprocessing.angle_shifted"),
+        (2.0 * np.pi, 1.0, "preprocessing.angle_wound"),
     ],
 )
 def test_angles_that_the_stroke_does_not_allow_are_refused(shift, scale, says):
     log = changed(crane(), lift_q=scale * (crane()["lift.q"] + shift))
     refused(says, lambda: preprocess("log", log, Model.of(rig())), LogError)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(0.01745, 0.0), (0.1, 0.0), (0.4, 0.0), (1.0, 0.01)])
+def test_a_position_and_its_rate_are_of_like_units(scale, offset):
+    """Angles in radians that are labelled deg; a rate whose sensor drifts is let be."""
+    whole, model = crane(), Model.of(rig())
+    middle = float(np.mean(whole["lift.q"]))
+    log = changed(whole, lift_q=middle + scale * (whole["lift.q"] - middle))
+    log = changed(log, lift_qd=whole["lift.qd"] + offset)
+    notes = [note for note in notes_on_channels(log, model) if "another_unit" in note.key]
+    assert [note.fields["ratio"] for note in notes] == pytest.approx(
+        [scale] * (scale < 0.2), rel=0.02
+    )

@@ -14,11 +14,12 @@ from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_
 from ehbench.data import read, read_log
 from ehbench.data.flowmeter import read_flowmeter
 from ehbench.data.readers import open_source
-from ehbench.data.readers.table import unit_in
+from ehbench.data.readers.table import Source, SourceColumn, SourceTable, unit_in
 from ehbench.data.record import lost, recovered
 from ehbench.report import terminal
 from ehbench.signals.series import lowpass
-from ehbench.vocabulary.errors import InputError, LogError
+from ehbench.vocabulary import message
+from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from tests.shared import ROOT
 from tools.fuzz import foreign
 
@@ -269,6 +270,8 @@ def test_a_position_beyond_the_travel_is_bridged_before_a_filter_smears_it(tmp_p
         ("V", '"ram.x [mm]"', None),
         ("K", '"temperature [°C]"', {"unit": "K"}),
         ("°C", '"temperature"', None),
+        ("psia", '"ram.p_head [psi]"', {"unit": "psia", "mapped": "psi"}),
+        ("psia", '{ channel = "ram.p_head", unit = "psi", offset = "-14.7 psi" }', None),
     ],
 )
 def test_a_unit_that_a_map_overrules_is_said(unit, mapped, said, tmp_path):
@@ -279,6 +282,21 @@ def test_a_unit_that_a_map_overrules_is_said(unit, mapped, said, tmp_path):
     notes = [note for note in losses if note.key == "data.unit_overruled"]
     assert [said.items() <= note.fields.items() for note in notes] == [True] * (said is not None)
     assert lost(losses) == [] and recovered("a", losses) == notes
+
+
+def test_a_name_that_is_not_there_is_answered_by_all_that_may_be_meant(tmp_path):
+    """Each table that has it; what was not read; that pressures are gauge."""
+    columns = tuple(SourceColumn(name, np.zeros(2)) for name in ("t", "p"))
+    tables = SourceTable("fast", columns), SourceTable("slow", columns)
+    for losses in ((), ("not read: q",)):
+        with pytest.raises(LogError, match="no column 'p'") as caught:
+            Source(tables, losses=losses).place("p", tmp_path)
+        assert caught.value.hint == "; ".join(["it has 'fast/p', 'slow/p'", *losses])
+    (tmp_path / "a.csv").write_text("t [s],p [bara]\n" + "0.1,2\n0.2,3\n0.3,4\n")
+    (tmp_path / "a.map.toml").write_text('[names]\n"t [s]" = "t"\n"p [bara]" = "ram.p_head"\n')
+    with pytest.raises(UnitError) as caught:
+        read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
+    assert caught.value.hint == message("vocabulary.instead_gauge", gauge="bar")
 
 
 def test_a_column_has_a_policy_of_its_own(tmp_path):
@@ -293,6 +311,17 @@ def test_a_column_has_a_policy_of_its_own(tmp_path):
         read(path, columns=columns)
     path, columns = write(tmp_path, [*lines[:40], "0.040;;0", *lines[41:]], names)
     assert "1 bad sample left out" in read(path, columns=columns).losses[0]
+
+
+@pytest.mark.parametrize(("turn", "unit"), [(360.0, "deg"), (4096.0, "counts")])
+def test_a_position_goes_on_where_it_begins_again(turn, unit, tmp_path):
+    x = turn * (0.98 + 0.1 * np.sin(np.arange(300) / 40.0))
+    lines = [f"{k / 1000},{value}" for k, value in enumerate(x % turn)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,x", *lines]))
+    law = f'channel = "ram.q", unit = "{unit}", scale = "{1.0 / turn} turn/{unit}"'
+    (tmp_path / "a.map.toml").write_text(f'[names]\nt = "t [s]"\nx = {{ {law} }}\n')
+    q = read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")["ram.q"]
+    np.testing.assert_allclose(q, 2.0 * np.pi * x / turn, rtol=1e-9)
 
 
 def test_what_was_written_late_is_put_back(tmp_path):

@@ -7,9 +7,10 @@ import pytest
 
 from ehbench.config.recipe import load_rig
 from ehbench.data import read
+from ehbench.data.record import Record
 from ehbench.identification.simulator import prepare
 from ehbench.plant.model import Model
-from ehbench.preprocessing.plausibility import at_limit
+from ehbench.preprocessing.plausibility import at_limit, held, notes_on_channels
 from ehbench.validation.residuals import pair_of
 from tests.shared import ROOT
 
@@ -63,3 +64,42 @@ def test_a_fit_does_not_count_them_and_a_validation_ends_there_too():
     assert any("press.p_head stands at" in text for text in log.warnings)
     pair = pair_of(clipped, record, "press.p_head")
     assert pair is not None and np.array_equal(pair.simulated, cut)
+
+
+def lost_messages(record: Record, count: int = 8) -> tuple[Record, np.ndarray]:
+    """A log whose recorder held all readings of the press for ``count`` samples, three times while
+    it moved and once at rest; where it held them while it moved."""
+    moving = np.abs(record["press.v"]) > 0.3 * np.abs(record["press.v"]).max()
+    firsts = np.flatnonzero(moving)[[20, 200, 400]]
+    rows, there = np.arange(record.t.size), np.zeros(record.t.size, bool)
+    for first in (2, *firsts):
+        rows[first : first + count] = first
+        there[first + 1 : first + count] = first > 2
+    readings = {
+        name: y[rows] if name.startswith("press.") and not name.endswith("command") else y
+        for name, y in record.channels.items()
+    }
+    return replace(record, channels=readings), there
+
+
+def test_readings_that_stand_are_no_held_ones():
+    record = read(LOG)
+    for y in SOUND.values():
+        for other in (y, np.roll(y, 30)):
+            log = Record(np.arange(y.size) * 1e-3, {"press.p_head": y, "press.p_rod": other})
+            assert not held(log, "press.p_head").any()
+    assert not any(held(record, name).any() for name in record.channels)
+
+
+def test_held_readings_are_said_and_count_nowhere():
+    record, there = lost_messages(read(LOG))
+    assert np.array_equal(held(record, "press.v"), there) and not held(record, "p_supply").any()
+    model = Model.of(load_rig(RIG))
+    (note,) = [item for item in notes_on_channels(record, model) if item.key.endswith(".held")]
+    assert note.fields["share"] == pytest.approx(100.0 * there.mean())
+    assert note.fields["time"] == record.t[np.argmax(there)]
+    log = prepare(model, record, "log", ("v", "p_head", "p_rod"), (), 1, None)
+    assert np.array_equal(log.counts, np.repeat(~there[:, None], len(log.channels), axis=1))
+    pair = pair_of(record, read(LOG), "press.p_head")
+    assert pair is not None and np.array_equal(pair.simulated[there], pair.recorded[there])
+    assert not np.array_equal(pair.simulated, pair.recorded)

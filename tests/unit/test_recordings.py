@@ -9,10 +9,13 @@ import pytest
 
 from ehbench.diagnosis import Case, misread, recordings
 from ehbench.plant.model import Model
+from ehbench.plant.ties import RECORDED, SUPPLY
 from ehbench.preprocessing.observations import commanded
 from ehbench.report.content import remedy_step
 from ehbench.report.stages.validation import doubts
 from ehbench.validation import speaking_against, validate_rig
+from ehbench.vocabulary import quantity
+from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.messages import Message, message
 from tests.shared import identify, shipped
 from tools.virtual_logs import virtual_log
@@ -75,6 +78,18 @@ def test_channels_in_each_others_place_are_named(name, pair):
     (note,) = notes(name, exchanged(log, *pair))
     assert note.fields["share"] > 0.6
     assert note.fields["remedy"].fields.items() >= dict(zip(("first", "second"), pair)).items()
+
+
+@pytest.mark.parametrize(("flow", "said"), [("60 L/min", False), ("14 L/min", True)])
+def test_a_supply_that_gives_way_is_replayed(flow, said):
+    """The pump of the machine is weaker than that of its rig file; its pressure was recorded."""
+    rig = shipped(CRANE).with_values({"supply.flow_limit": read_value(flow, quantity("flow"))})
+    log = replace(virtual_log(CRANE, rig, "quick steps", 3, duration=2.0), meta={"payload": "none"})
+    keys = [note.fields["remedy"].key for note in notes(CRANE, log)]
+    assert keys == ["diagnosis.write_supplied"] * said
+    bare = {name: y for name, y in log.channels.items() if name != "p_supply"}
+    assert notes(CRANE, replace(log, channels=bare)) == []
+    assert notes(CRANE, replace(log, meta=dict(log.meta) | {SUPPLY: RECORDED})) == []
 
 
 def test_a_log_that_cannot_be_simulated_has_no_note():

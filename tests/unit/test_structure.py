@@ -228,6 +228,9 @@ def test_remedies_of_what_was_fitted_and_of_a_late_command():
     assert {key: fields[key] for key in shares} == pytest.approx(shares)
     shown = [rig.shown(rows[0].parameters[0], share * gain, 3) for share in (0.1, 0.9)]
     assert [fields["by"], fields["value"]] == shown
+    fields = rows[0]._fields(rig, 0.002)  # which three digits would not show
+    assert fields["value"] == rig.shown(rows[0].parameters[0], 1.002 * gain, 4)
+    assert fields["value"] != rig.shown(rows[0].parameters[0], gain, 4)
     (delay,) = rows_of(rig, "delay")
     assert delay.remedy(rig, 0.01).key == "faults.free_sensor"
     (late,) = rows_of(rig, "late command")

@@ -156,7 +156,8 @@ def test_missing_samples_are_no_rounding(lost):
 @pytest.mark.parametrize("turn", [2.0**16, 2.0**32])
 def test_a_counter_that_begins_again_goes_on_and_one_that_was_reset_stays(turn):
     truth = np.concatenate([[np.nan], turn - 1e4 + 10.0 * np.cumsum(np.arange(300) % 4 + 1)])
-    np.testing.assert_array_equal(unwrapped(truth % turn), truth)
+    for zero in (0.0, 0.5 * turn):  # of a signed one too
+        np.testing.assert_array_equal(unwrapped(truth % turn - zero), truth - zero)
     for other in (np.where(truth < turn, truth, truth - turn + 500.0), truth % turn + 0.5):
         np.testing.assert_array_equal(unwrapped(other), other)
 

@@ -72,16 +72,17 @@ def _table_of(
     names = column_names((top + [""] * width)[:width])
     rows, units_of_cells = _without_units([lines[n] for n in layout.rows], marks)
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
+    places = {index: place for place, index in enumerate(of_numbers)}
     widest = 0 if separator == "\t" else max(width, len(top))  # no number holds a tab
     values, odd = numbers(rows, separator, decimal, of_numbers, widest)
     doubts = {} if dialect.decimal else two_readings(rows, separator, decimal, of_numbers)
     doubts |= long_integers(rows, separator, values, of_numbers)
     # parts of a microsecond since some year
-    large = [index for place, index in enumerate(of_numbers) if values[:1, place] >= 1e17]
+    large = [index for index, place in places.items() if values[:1, place] >= 1e17]
     since = {index: nanoseconds(cells_of(rows, separator, index)) for index in large}
     ticks, began = {index: count for index, count in since.items() if count}, None
     for index, count in ticks.items():
-        values[:, of_numbers.index(index)], began = count
+        values[:, places[index]], began = count
         doubts.pop(index, None)
     cells = {
         index: cells_of(rows, separator, index)
@@ -92,7 +93,7 @@ def _table_of(
     columns, daytime, words = [], None, {}
     for index, kind in enumerate(kinds):
         if kind == "numbers":
-            place = of_numbers.index(index)
+            place = places[index]
             unit = units_of_cells.get(index, "".join(units[index : index + 1]))
             unit = "ns" if index in ticks else unit
             if index < len(top) and names[index] != top[index]:  # numbered behind its unit

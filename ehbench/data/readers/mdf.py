@@ -178,7 +178,7 @@ def evaluate(text: str, values: np.ndarray) -> np.ndarray:
         LogError: the formula has anything else in it than numbers, operators and functions."""
     calls = set(re.findall(r"[a-z]+(?=\s*\()", text.lower()[:_FORMULA_LIMIT]))
     key = "log" if "log" in calls else "condition" if calls & {"if", "iif"} else "not_understood"
-    refusal = LogError(message(f"data.formula_{key}", formula=text))
+    refusal = LogError(message(f"data.formula_{key}", formula=text[:_FORMULA_LIMIT]))
     if len(text) > _FORMULA_LIMIT or _TOKEN.sub("", text):
         raise refusal
     readings = values.astype(float)

@@ -190,8 +190,11 @@ class Source:
                 text = message("data.column_of_words", name=name, cell=shortened(cells[row], 60))
                 line = table.lines[row] if table.lines else None
                 raise LogError(text, file=file, line=line)
-        text = message("data.no_column", name=name, there=listed((f"'{x}'" for x in known), 12))
-        raise LogError(text, file=file, hint=nearest(name, known, "nearest is '{}'"))
+        alike = [other for other in known if other.endswith(f"/{name}")]  # in several tables
+        there = listed((f"'{other}'" for other in alike or known), 12)
+        text = message("data.no_column", name=name, there=there)
+        near = text.hint if alike else nearest(name, known, "nearest is '{}'") or text.hint
+        raise LogError(text, file=file, hint="; ".join([near, *self.losses[:4]]))
 
 
 def with_clock(table: SourceTable) -> SourceTable:

@@ -282,8 +282,9 @@ class Hypothesis:
         }
         if number is not None:
             by, there = abs(delta * number.unit), number.at(delta)
-            shown = {"by": rig.shown(number.name, by, 3), "value": rig.shown(number.name, there, 3)}
-            return fields | shown
+            fine = 2 + int(math.log10(max(10.0, abs(there) / by))) if by else 3  # shows the change
+            value = rig.shown(number.name, there, fine)
+            return fields | {"by": rig.shown(number.name, by, 3), "value": value}
         return fields | {"by": "", "value": ""}
 
     def recipe_lines(self, rig: Rig) -> tuple[str, ...]:
