@@ -485,7 +485,7 @@ def test_dotted_keys_do_with_or_without_quotes(tmp_path, key):
     ("text", "line", "says"),
     [
         ('[start]\narm.joint_damping = "700 kPa"', 7, "cannot be turned into"),
-        ('[start]\nbulk_modulus = "90 GPa"', 7, "outside 1 to 10000 MPa"),
+        ('[start]\nbulk_modulus = "90 GPa"', 7, "outside 0.001 to 10 GPa"),
         ('[start]\nbulk_modulus = "3 GPa"', 7, "outside its bounds"),
         ('[lower]\n"arm.joint_dampin" = "1 N*m*s/rad"', 7, "nearest is 'arm.joint_damping'"),
         ('[upper]\n"arm.mass" = "900 kg"', 7, "not among the parameters to fit"),

@@ -440,11 +440,19 @@ def test_a_shift_is_what_half_of_the_rows_agree_on(agreeing, late):
     ],
 )
 def test_a_log_counts_that_moves_and_was_not_fitted(fitted, overlap, moved, keys):
-    log: Any = Stub(fitted=fitted, overlap=overlap)
-    notes: list[Any] = list(judge._not_counted(log, moved))
+    model, counted = Stub(model=MODEL), Record(np.arange(4) * TICK, {})
+    log: Any = Stub(fitted=fitted, overlap=overlap, failure="", log=model, counted=counted)
+    with answers(judge, empty_chambers=[]):
+        notes: list[Any] = list(judge._not_counted(log, moved))
     assert [note.key for note in notes] == [f"validation.{key}" for key in keys]
     if overlap:
         assert notes[0].fields["spans"] == "1 … 2.5 s (of a)"
+    void = np.array([False, False, True, False])
+    with answers(judge, empty_chambers=[("press", void)]):
+        told: Any = list(judge._not_counted(log, moved))[-1]
+        log.failure = "it did not run"
+        assert list(judge._not_counted(log, moved)) == notes
+    assert told.fields == {"cylinder": "press", "t": 2 * TICK, "share": 25.0}
 
 
 @pytest.mark.parametrize(
