@@ -11,6 +11,7 @@ from ehbench.control.law import Controller
 from ehbench.control.registry import tick
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.sample import OF, entry
+from ehbench.physics.cylinder import DIRECT
 from ehbench.runtime.compiled import WITHIN, kernel, part_kernel
 
 LIMITS = (
@@ -22,6 +23,7 @@ PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
 COMMAND_RATE, PRESSURE_RANGE, AGE, OVERRUN, FOLLOWING_TIME = range(5, 10)
 FOLLOWING, MISMATCH, FINITE, MACHINE, MONITOR = range(10, 15)
 VACUUM = -1.5e5  # [Pa] gauge: a perfect vacuum, and half a bar of a sensor's offset
+FORGETS = 1.0  # [s] until what a speed's error added to a stroke is forgotten
 
 
 class Checks(NamedTuple):
@@ -31,9 +33,10 @@ class Checks(NamedTuple):
     that the machine measures; ``cylinders`` are the rig's. ``desired`` strokes [m], shape (samples,
     cylinders), nan where no law controls the stroke; ``following`` and ``mismatch`` their bounds
     [m], shape (cylinders,); ``since`` the first row of a following error, −1 without one;
-    ``alarms``, shape (cylinders,), those of `ehbench.control.monitor.Monitor`. ``stamp``
-    is (time [s], sequence, age [s], reason of a machine that stopped by itself, time [s] that the
-    controller took) of the present sample."""
+    ``apart`` what the strokes moved beyond their speed [m], shape (cylinders,); ``alarms``, shape
+    (cylinders,), those of `ehbench.control.monitor.Monitor`. ``stamp`` is (time [s], sequence, age
+    [s], reason of a machine that stopped by itself, time [s] that the controller took) of the
+    present sample."""
 
     armed: np.ndarray
     measured: np.ndarray
@@ -42,6 +45,7 @@ class Checks(NamedTuple):
     following: np.ndarray
     mismatch: np.ndarray
     since: np.ndarray
+    apart: np.ndarray
     alarms: np.ndarray
     stamp: np.ndarray
 
@@ -89,6 +93,28 @@ def _stop(rows, which, index, entry, value, bound):
 
 
 @part_kernel
+def _other_stroke(rows, i, c):
+    """A cylinder's stroke [m] without its own sensor: by the angle of a joint that turns, else by
+    its speed, which may come of that sensor: while this stays at one number, by the desired motion.
+    What they add wrongly is forgotten. It is nan where nothing says it."""
+    sample, checks = rows.sample, rows.checks
+    if checks.measured[entry(c, OF.q)] and checks.cylinders[c].geometry != DIRECT:
+        return linkage_of(checks.cylinders[c], sample[entry(c, OF.q)])[0]
+    x, moved = sample[entry(c, OF.x)], math.nan
+    if i > 0:
+        tick, before = rows.t[i] - rows.t[i - 1], rows.samples[i - 1, entry(c, OF.x)]
+        if checks.measured[entry(c, OF.v)]:
+            moved = tick * sample[entry(c, OF.v)]
+        meant = checks.desired[i, c] - checks.desired[i - 1, c]
+        if x == before and not (math.isnan(meant) or abs(moved) > abs(meant)):
+            moved = meant
+        if not math.isnan(moved):
+            checks.apart[c] += x - before - moved
+        checks.apart[c] /= 1.0 + tick / FORGETS
+    return x - checks.apart[c]
+
+
+@part_kernel
 def _of_cylinder(rows, i, c):
     """Whether the present sample of a cylinder reached a limit of row ``i``."""
     sample, limits, checks = rows.sample, rows.limits, rows.checks
@@ -114,10 +140,9 @@ def _of_cylinder(rows, i, c):
     j = entry(c, OF.v)
     if abs(sample[j]) > limits[SPEED]:
         return _stop(rows, SPEED, c, j, sample[j], limits[SPEED])
-    if checks.measured[entry(c, OF.q)]:
-        apart = x - linkage_of(checks.cylinders[c], sample[entry(c, OF.q)])[0]
-        if abs(apart) > checks.mismatch[c]:
-            return _stop(rows, MISMATCH, c, entry(c, OF.x), apart, checks.mismatch[c])
+    apart = x - _other_stroke(rows, i, c)
+    if abs(apart) > checks.mismatch[c]:
+        return _stop(rows, MISMATCH, c, entry(c, OF.x), apart, checks.mismatch[c])
     apart = x - checks.desired[i, c]
     if not abs(apart) > checks.following[c]:
         checks.since[c] = -1

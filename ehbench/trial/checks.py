@@ -34,7 +34,7 @@ class CheckSettings:
         3.0, "", "a pressure, in highest pressures of the rig", "a caught load doubles it"
     )
     late: float = setting(0.02, "s", "a sample's age, a controller's time", "a watchdog")
-    late_ticks: float = setting(2.0, "", "the least of it, in ticks", "one packet lost")
+    late_ticks: float = setting(4.0, "", "the least of it, in ticks", "two packets lost")
 
 
 CHECKS = CheckSettings()
@@ -95,6 +95,7 @@ def checks_of(
         bound(limits.following_error, CHECKS.following),
         bound(limits.position_mismatch, CHECKS.mismatch),
         np.full(len(strokes), -1, dtype=np.int64),
+        np.zeros(len(strokes)),
         np.zeros(len(strokes)),
         np.zeros(5),
     )

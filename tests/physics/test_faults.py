@@ -154,6 +154,46 @@ def test_both_paths_of_a_session_stop_at_the_same_row():
     assert rows[0] == rows[1]
 
 
+@pytest.mark.parametrize(
+    ("fault", "stops"),
+    [
+        ({"kind": "stuck", "target": "press.x", "start": "1.53 s"}, True),  # its speed says 0 too
+        ({"kind": "zero", "target": "press.v", "start": "1.53 s"}, True),
+        ({"kind": "scale", "target": "press.v", "start": "0 s", "value": "0.9"}, False),
+        ({"kind": "offset", "target": "press.v", "start": "0 s", "value": "10 mm/s"}, False),
+    ],
+)
+def test_a_slide_whose_stroke_contradicts_its_motion_stops(tmp_path, fault, stops):
+    bench = ROOT / "recipes/bench/slide_servo.toml"
+    (tmp_path / "trial.toml").write_text(
+        f"""stage = "trial"
+rig = "{ROOT / "recipes/rigs/slide_servo.toml"}"
+on = "bench"
+bench = "{bench}"
+[motion]
+kind = "point_to_point"
+cylinder = "press"
+waypoints = ["100 mm", "260 mm"]
+speed = "150 mm/s"
+[controller]
+kind = "position"
+"""
+    )
+    loaded = load_recipe(tmp_path / "trial.toml")
+    assert isinstance(loaded, TrialRecipe)
+    trial = prepare(
+        loaded.model_copy(update={"fault": (Fault.model_validate(fault),)}), shipped("slide_servo")
+    )
+    result = run(trial)
+    stop = result.facts.stop
+    assert (stop is not None) == stops
+    if stop is not None:
+        assert (stop.limit, stop.channel) == ("position_mismatch", "press.x")
+        # 5 % of the stroke at the motion's speed, forgotten over 1 s, and a tenth on top
+        assert stop.t - 1.53 < 1.1 * -np.log(1.0 - 20.0 / 150.0)
+    assert result.facts.measures["tracking_true"]["max_error"] < 10e-3
+
+
 def test_a_sensor_that_is_dead_from_the_start_is_refused():
     with refused("trial.start_limit", InputError):
         run(prepared({"kind": "nan", "target": "boom.p_head", "start": "0 s"}))

@@ -986,7 +986,7 @@ ROWS = [
     (checks.CHECKS, "mismatch", lambda: bounds("mismatch"), 0.05),
     (checks.CHECKS, "range", highest, 3.0),
     (checks.CHECKS, "late", lambda: oldest(1e-3), 20.0),
-    (checks.CHECKS, "late_ticks", lambda: oldest(0.05), 100.0),
+    (checks.CHECKS, "late_ticks", lambda: oldest(0.05), 200.0),
     (path.PATH, "spacing", lambda: postures(1.0)[0], [201]),
     (path.PATH, "postures", lambda: postures(0.01)[0], [33]),
     (path.PATH, "doublings", lambda: postures(1.0, 1.0)[:2], ([201, 401, 801, 1601],
