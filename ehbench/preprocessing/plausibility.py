@@ -369,9 +369,10 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
             least = SETTINGS.still * _travel_of(cylinder, word) if word in ("q", "x") else 0.0
             still = motion and way <= least
             fields = {"channel": channel, "cylinder": name}
-            if way == 0.0 and (moves or (pushed and not motion)):
-                level = rig.shown(channel, values[0])
-                yield message("preprocessing.constant", level=level, **fields)
+            last = record.at(slice(_stands_from(values), None))
+            if last.t.size and _driven(last, rig, cylinder, motion):
+                shown = {"level": rig.shown(channel, values[-1]), "time": last.t[0]}
+                yield message("preprocessing.constant", **shown, **fields)
             elif moves and still:
                 yield message("preprocessing.stands_still", **fields)
             elif pushed and still:
@@ -406,10 +407,19 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
     yield from rates_of_other_units(record, rig)
 
 
+def _stands_from(y: np.ndarray) -> int:
+    """The sample from which readings are the very same to the end, for longer than ever before;
+    their number where they are not."""
+    ends = np.concatenate([[0], np.flatnonzero(np.diff(y)) + 1, [y.size]])
+    *usual, last = np.diff(ends)
+    least = max(SETTINGS.limit_run, SETTINGS.limit_share * max(usual, default=0))
+    return int(ends[-2]) if last >= least else y.size
+
+
 def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
     """Notes on pressures of supply and tank that stand while a cylinder is driven; one at the level
     that the rig has is stated, and no reading."""
-    driven = (c.name for c in rig.cylinder if _travels(record, c) or _pushed(record, rig, c))
+    driven = (c.name for c in rig.cylinder if _driven(record, rig, c))
     name, supply = next(driven, ""), rig.supply
     lines = (("p_supply", supply.pressure), ("p_tank", supply.tank_pressure))
     for channel, stated in lines if name else ():
@@ -418,7 +428,8 @@ def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
         level = float(record[channel][0])
         if not math.isclose(level, float(stated), rel_tol=1e-6):
             shown = rig.shown(channel, level)
-            yield message("preprocessing.constant", channel=channel, level=shown, cylinder=name)
+            fields = {"channel": channel, "level": shown, "cylinder": name, "time": record.t[0]}
+            yield message("preprocessing.constant", **fields)
 
 
 def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
@@ -440,7 +451,7 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def rates_of_other_units(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on positions that go along with the sum of their rates, but several times as far."""
+    """Notes on positions that go along with the sum of their rates, but not as far."""
     t = record.t - np.mean(record.t)
     for cylinder in rig.cylinder:
         for words in (("q", "qd"), ("x", "v")):
@@ -454,9 +465,19 @@ def rates_of_other_units(record: Record, rig: Rig) -> Iterator[Message]:
             product, square = float(np.dot(place, summed)), float(np.dot(summed, summed))
             along = abs(product) > -SETTINGS.against * np.linalg.norm(place) * math.sqrt(square)
             ratio = abs(product) / square
+            fields = {"place": seen[0], "rate": seen[1], "ratio": ratio}
+            off, rest = abs(ratio - 1.0) * math.sqrt(square), place - product / square * summed
             if along and not 1.0 / SETTINGS.apart <= ratio <= SETTINGS.apart:
-                fields = {"place": seen[0], "rate": seen[1], "ratio": ratio}
                 yield message("preprocessing.rate_of_another_unit", **fields)
+            elif product > 0.0 and off > max(
+                SETTINGS.off_pins * math.sqrt(square), float(np.linalg.norm(rest))
+            ):
+                yield message("preprocessing.rate_of_another_scale", **fields)
+
+
+def _driven(record: Record, rig: Rig, cylinder: Cylinder, motion: bool = False) -> bool:
+    """Whether a cylinder moves, or, unless asked of its ``motion``, is pushed."""
+    return _travels(record, cylinder) or (not motion and _pushed(record, rig, cylinder))
 
 
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
