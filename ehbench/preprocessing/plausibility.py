@@ -50,6 +50,8 @@ class PlausibilitySettings:
     worth: float = setting(0.1, "", "a position's noise, of a pressure's spread", "10 %")
     ongoing: float = setting(0.1, "", "first speed of a motion, of the largest", "else it creeps")
     against: float = setting(-0.5, "", "correlation of a turned sign", "friction leaves more")
+    latest: float = setting(2.0, "s", "delay between two recorders that is looked for", "by hand")
+    stray: float = setting(0.1, "", "share of a way that no command explains", "loads move it")
     limit_run: int = setting(4, "", "equal readings in a row at a sensor's limit", "none by chance")
     limit_share: float = setting(2.0, "", "the same, in runs of other values", "coarse counts")
     limit_rise: int = setting(2, "", "samples within which a limit is reached", "else it settles")
@@ -557,7 +559,8 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
 
 
 def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on positions and speeds that fall while the commands extend a cylinder."""
+    """Notes on positions and speeds that fall while the commands extend a cylinder, or that go with
+    its commands of another time."""
     for cylinder in rig.cylinder:
         opened = np.zeros((2, record.t.size), dtype=bool)
         for _, valve, _, values in _commanded(record, [cylinder]):
@@ -576,12 +579,32 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
         for word, channel, _ in _recorded(record, cylinder, "x", "v", "q", "qd"):
             turn = sign if word in ("q", "qd") else 1
             y = turn * _way(record, channel)
+            far = np.ptp(y) > SETTINGS.travel * _travel_of(cylinder, word)
+            if far and (late := record.sample_time * _late(y, ends, each, record.sample_time)):
+                key = "sensors_late" if late > 0.0 else "commands_late"
+                fields = {"cylinder": cylinder.name, "ms": 1e3 * abs(late)}
+                yield message(f"preprocessing.{key}", **fields)
+                break
             gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
             far = path > SETTINGS.travel * _travel_of(cylinder, word)
             if far and along < SETTINGS.against * path:
                 falls = "falls" if turn > 0 else "rises"
                 yield _turned("backwards", channel, way=falls, cylinder=cylinder.name)
+
+
+def _late(y: np.ndarray, ends: np.ndarray, each: np.ndarray, tick: float) -> int:
+    """By how many samples a way goes later than commands that have a sign between ``ends`` each: 0
+    unless nearly all of it goes with them then, and clearly less of it now, either way."""
+    reach, places = round(SETTINGS.latest / tick), np.concatenate([[0], ends, [y.size - 1]])
+    shifts = np.arange(-reach, reach + 1, max(1, reach // 200))
+    shifts = shifts[np.argsort(np.abs(shifts), kind="stable")] - shifts[np.abs(shifts).argmin()]
+    gone = np.diff(y[np.clip(places + shifts[:, None], 0, y.size - 1)], axis=1)
+    along = gone[:, 1:-1] @ each / np.maximum(np.sum(np.abs(gone), axis=1), 1e-300)
+    best = float(along.max())
+    if best < 1.0 - SETTINGS.stray or best - abs(along[0]) < SETTINGS.stray:
+        return 0
+    return int(np.median(shifts[along > best - SETTINGS.stray**2]))
 
 
 def _turned(name: str, channel: str, **fields: str) -> Message:

@@ -666,6 +666,20 @@ def test_a_position_and_its_rate_are_of_like_units_and_scales(scale, offset, oth
     assert [note.fields["ratio"] for note in notes] == pytest.approx([scale] * len(other), rel=0.02)
 
 
+@pytest.mark.parametrize(("late", "key"), [(0, ""), (250, "sensors_late"), (-250, "commands_late")])
+def test_sensors_or_commands_of_another_clock_are_told_by_the_motion(late, key):
+    """Before that, they looked like sensors with turned signs."""
+    log, model = crane(), Model.of(rig())
+    at = np.arange(log.t.size) - late
+    moved = {
+        name: y if name.endswith("command") else y[np.clip(at, 0, y.size - 1)]
+        for name, y in log.channels.items()
+    }
+    notes = [*notes_on_channels(replace(log, channels=moved), model)]
+    assert [note.key for note in notes] == [f"preprocessing.{key}"] * bool(key)
+    assert all(abs(note.fields["ms"] - 250.0) < 60.0 for note in notes)
+
+
 def test_a_clock_that_is_off_is_as_likely_as_a_scale():
     log, model = crane(), Model.of(rig())
     notes = [*notes_on_channels(replace(log, t=1.01 * log.t), model)]
