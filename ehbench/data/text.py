@@ -29,6 +29,7 @@ _MINUS = {0x2212: "-"}
 _FORTRAN = {ord("d"): "e", ord("D"): "e"}
 _PADDING = re.compile(rb"\0{4,}\Z")  # of a file that a recorder made larger beforehand
 _QUOTES = re.compile(r'(?:^|[,;|\t])\s*"[^"]*(?:""[^"]*)*$')  # a cell that goes on in the next line
+_CLOSES = re.compile(r'[^"]*(?:""[^"]*)*"\s*(?:[,;|\t]|$)')  # the rest of such a cell
 _LINES_OF_A_CELL = 8
 _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 # a mark before three digits: the decimal sign, or what groups them
@@ -125,11 +126,15 @@ def lines_of(text: str) -> list[str]:
     lines = _LINE_END.split(text)
     lines = lines if lines[-1] else lines[:-1]
     for at, line in enumerate(lines if '"' in text else ()):
-        if line.count('"') % 2 == 0 or not _QUOTES.search(line):
-            continue
-        ends = range(at + 1, min(at + _LINES_OF_A_CELL, len(lines)))
-        last = next((end for end in ends if lines[end].count('"') % 2), None)
-        if last is not None:
+        rest, last = line, at
+        while _QUOTES.search(rest):
+            ends = range(last + 1, min(last + _LINES_OF_A_CELL, len(lines)))
+            last = next((n for n in ends if '"' in lines[n].replace('""', "")), at)
+            closed = _CLOSES.match(lines[last]) if last > at else None
+            if closed is None:
+                break
+            rest = lines[last][closed.end() :]
+        else:
             lines[at] = " ".join(lines[at : last + 1])
             lines[at + 1 : last + 1] = [""] * (last - at)
     return lines

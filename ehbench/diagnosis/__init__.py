@@ -13,7 +13,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
+from ehbench.diagnosis.cases import DOMINANT, MATTERS, QUIET, Case, counts, total
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.diagnosis.recordings import Follows, disagreements, followed, is_astray, misread
 from ehbench.plant.build import Maps
@@ -23,6 +23,7 @@ from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.observations import commanded, payload_of
 from ehbench.preprocessing.time_base import evened
 from ehbench.vocabulary import EhbenchError, grouped, message
+from ehbench.vocabulary.terms import BEYOND
 
 __all__ = [
     "DOMINANT",
@@ -66,6 +67,11 @@ class Finding:
     beyond: float = 0.0
     jointly: float = 0.0
     alike: tuple[str, ...] = ()
+
+    @property
+    def within(self) -> bool:
+        """Whether the interval of an identified number holds it, and nothing else is left."""
+        return 0.0 < self.beyond <= BEYOND and self.explains > 1.0 - MATTERS
 
     @property
     def cause(self) -> str:

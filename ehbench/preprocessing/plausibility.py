@@ -50,6 +50,8 @@ class PlausibilitySettings:
     worth: float = setting(0.1, "", "a position's noise, of a pressure's spread", "10 %")
     ongoing: float = setting(0.1, "", "first speed of a motion, of the largest", "else it creeps")
     against: float = setting(-0.5, "", "correlation of a turned sign", "friction leaves more")
+    latest: float = setting(2.0, "s", "delay between two recorders that is looked for", "by hand")
+    stray: float = setting(0.1, "", "share of a way that no command explains", "loads move it")
     limit_run: int = setting(4, "", "equal readings in a row at a sensor's limit", "none by chance")
     limit_share: float = setting(2.0, "", "the same, in runs of other values", "coarse counts")
     limit_rise: int = setting(2, "", "samples within which a limit is reached", "else it settles")
@@ -369,9 +371,10 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
             least = SETTINGS.still * _travel_of(cylinder, word) if word in ("q", "x") else 0.0
             still = motion and way <= least
             fields = {"channel": channel, "cylinder": name}
-            if way == 0.0 and (moves or (pushed and not motion)):
-                level = rig.shown(channel, values[0])
-                yield message("preprocessing.constant", level=level, **fields)
+            last = record.at(slice(_stands_from(values), None))
+            if last.t.size and _driven(last, rig, cylinder, motion):
+                shown = {"level": rig.shown(channel, values[-1]), "time": last.t[0]}
+                yield message("preprocessing.constant", **shown, **fields)
             elif moves and still:
                 yield message("preprocessing.stands_still", **fields)
             elif pushed and still:
@@ -406,10 +409,19 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
     yield from rates_of_other_units(record, rig)
 
 
+def _stands_from(y: np.ndarray) -> int:
+    """The sample from which readings are the very same to the end, for longer than ever before;
+    their number where they are not."""
+    ends = np.concatenate([[0], np.flatnonzero(np.diff(y)) + 1, [y.size]])
+    *usual, last = np.diff(ends)
+    least = max(SETTINGS.limit_run, SETTINGS.limit_share * max(usual, default=0))
+    return int(ends[-2]) if last >= least else y.size
+
+
 def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
     """Notes on pressures of supply and tank that stand while a cylinder is driven; one at the level
     that the rig has is stated, and no reading."""
-    driven = (c.name for c in rig.cylinder if _travels(record, c) or _pushed(record, rig, c))
+    driven = (c.name for c in rig.cylinder if _driven(record, rig, c))
     name, supply = next(driven, ""), rig.supply
     lines = (("p_supply", supply.pressure), ("p_tank", supply.tank_pressure))
     for channel, stated in lines if name else ():
@@ -418,7 +430,8 @@ def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
         level = float(record[channel][0])
         if not math.isclose(level, float(stated), rel_tol=1e-6):
             shown = rig.shown(channel, level)
-            yield message("preprocessing.constant", channel=channel, level=shown, cylinder=name)
+            fields = {"channel": channel, "level": shown, "cylinder": name, "time": record.t[0]}
+            yield message("preprocessing.constant", **fields)
 
 
 def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
@@ -440,7 +453,7 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def rates_of_other_units(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on positions that go along with the sum of their rates, but several times as far."""
+    """Notes on positions that go along with the sum of their rates, but not as far."""
     t = record.t - np.mean(record.t)
     for cylinder in rig.cylinder:
         for words in (("q", "qd"), ("x", "v")):
@@ -454,9 +467,19 @@ def rates_of_other_units(record: Record, rig: Rig) -> Iterator[Message]:
             product, square = float(np.dot(place, summed)), float(np.dot(summed, summed))
             along = abs(product) > -SETTINGS.against * np.linalg.norm(place) * math.sqrt(square)
             ratio = abs(product) / square
+            fields = {"place": seen[0], "rate": seen[1], "ratio": ratio}
+            off, rest = abs(ratio - 1.0) * math.sqrt(square), place - product / square * summed
             if along and not 1.0 / SETTINGS.apart <= ratio <= SETTINGS.apart:
-                fields = {"place": seen[0], "rate": seen[1], "ratio": ratio}
                 yield message("preprocessing.rate_of_another_unit", **fields)
+            elif product > 0.0 and off > max(
+                SETTINGS.off_pins * math.sqrt(square), float(np.linalg.norm(rest))
+            ):
+                yield message("preprocessing.rate_of_another_scale", **fields)
+
+
+def _driven(record: Record, rig: Rig, cylinder: Cylinder, motion: bool = False) -> bool:
+    """Whether a cylinder moves, or, unless asked of its ``motion``, is pushed."""
+    return _travels(record, cylinder) or (not motion and _pushed(record, rig, cylinder))
 
 
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
@@ -536,7 +559,8 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
 
 
 def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on positions and speeds that fall while the commands extend a cylinder."""
+    """Notes on positions and speeds that fall while the commands extend a cylinder, or that go with
+    its commands of another time."""
     for cylinder in rig.cylinder:
         opened = np.zeros((2, record.t.size), dtype=bool)
         for _, valve, _, values in _commanded(record, [cylinder]):
@@ -555,12 +579,32 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
         for word, channel, _ in _recorded(record, cylinder, "x", "v", "q", "qd"):
             turn = sign if word in ("q", "qd") else 1
             y = turn * _way(record, channel)
+            far = np.ptp(y) > SETTINGS.travel * _travel_of(cylinder, word)
+            if far and (late := record.sample_time * _late(y, ends, each, record.sample_time)):
+                key = "sensors_late" if late > 0.0 else "commands_late"
+                fields = {"cylinder": cylinder.name, "ms": 1e3 * abs(late)}
+                yield message(f"preprocessing.{key}", **fields)
+                break
             gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
             far = path > SETTINGS.travel * _travel_of(cylinder, word)
             if far and along < SETTINGS.against * path:
                 falls = "falls" if turn > 0 else "rises"
                 yield _turned("backwards", channel, way=falls, cylinder=cylinder.name)
+
+
+def _late(y: np.ndarray, ends: np.ndarray, each: np.ndarray, tick: float) -> int:
+    """By how many samples a way goes later than commands that have a sign between ``ends`` each: 0
+    unless nearly all of it goes with them then, and clearly less of it now, either way."""
+    reach, places = round(SETTINGS.latest / tick), np.concatenate([[0], ends, [y.size - 1]])
+    shifts = np.arange(-reach, reach + 1, max(1, reach // 200))
+    shifts = shifts[np.argsort(np.abs(shifts), kind="stable")] - shifts[np.abs(shifts).argmin()]
+    gone = np.diff(y[np.clip(places + shifts[:, None], 0, y.size - 1)], axis=1)
+    along = gone[:, 1:-1] @ each / np.maximum(np.sum(np.abs(gone), axis=1), 1e-300)
+    best = float(along.max())
+    if best < 1.0 - SETTINGS.stray or best - abs(along[0]) < SETTINGS.stray:
+        return 0
+    return int(np.median(shifts[along > best - SETTINGS.stray**2]))
 
 
 def _turned(name: str, channel: str, **fields: str) -> Message:

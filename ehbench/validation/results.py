@@ -229,13 +229,14 @@ class Validation:
     def with_structure(self, structure: Structure) -> Validation:
         """With what the residuals say: a cause of most of a residual above the noise, or two that
         are so together, is a reservation, and a reason to reject the model where an identified
-        number would leave its interval.
+        number would leave its interval. It is neither where that interval explains everything.
         """
+        causes = [cause for cause in structure.causes if not cause.within]
         texts = [
             message("validation.cause", share=c.explains, cause=c.cause, remedy=c.remedy)
-            for c in structure.causes
+            for c in causes
         ]
-        reject = [cause.beyond > BEYOND for cause in structure.causes]
+        reject = [cause.beyond > BEYOND for cause in causes]
         return replace(self, structure=structure).weighed(texts, reject)
 
     def with_fit(self, leans: Sequence[Mapping[str, Any]]) -> Validation:

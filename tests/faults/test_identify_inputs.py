@@ -403,10 +403,22 @@ def test_too_few_samples_are_counted(count):
 # --- sensors and starts ---
 
 
+@pytest.mark.parametrize("start", [0, 300])
 @pytest.mark.parametrize("word", ["x", "q", "v", "qd", "p_head", "p_rod"])
-def test_a_stuck_sensor_is_told(word):
-    stuck = changed(crane(), **{f"lift_{word}": np.full(1501, crane()[f"lift.{word}"][0])})
-    assert any(f"lift.{word} is " in text and "throughout" in text for text in taken(stuck)[1])
+def test_a_stuck_sensor_is_told(word, start):
+    log, name = crane(), f"lift.{word}"
+    stuck = np.where(np.arange(1501) < start, log[name], log[name][start])
+    notes = taken(changed(log, **{f"lift_{word}": stuck}))[1]
+    (note,) = (note for note in notes if note.key == "preprocessing.constant")
+    assert note.fields["channel"] == name and note.fields["time"] == log.t[start]
+
+
+def test_a_sensor_that_stands_with_its_cylinder_is_not_stuck():
+    log = crane()
+    rest = np.full(600, -1)  # which moves no more
+    still = {name: np.concatenate([y, y[rest]]) for name, y in log.channels.items()}
+    still = replace(log, t=log.t[1] * np.arange(2101), channels=still)
+    assert not [note for note in taken(still)[1] if note.key == "preprocessing.constant"]
 
 
 @pytest.mark.parametrize(("level", "count"), [(0.0, 1), (3e5, 0)])
@@ -636,14 +648,41 @@ def test_angles_that_the_stroke_does_not_allow_are_refused(shift, scale, says):
     refused(says, lambda: preprocess("log", log, Model.of(rig())), LogError)
 
 
-@pytest.mark.parametrize(("scale", "offset"), [(0.01745, 0.0), (0.1, 0.0), (0.4, 0.0), (1.0, 0.01)])
-def test_a_position_and_its_rate_are_of_like_units(scale, offset):
+@pytest.mark.parametrize(
+    ("scale", "offset", "other"),
+    [
+        *[(0.01745, 0.0, ["unit"]), (0.1, 0.0, ["unit"]), (0.4, 0.0, ["scale"])],
+        *[(0.99, 0.0, ["scale"]), (0.998, 0.0, []), (1.0, 0.01, [])],
+    ],
+)
+def test_a_position_and_its_rate_are_of_like_units_and_scales(scale, offset, other):
     """Angles in radians that are labelled deg; a rate whose sensor drifts is let be."""
     whole, model = crane(), Model.of(rig())
     middle = float(np.mean(whole["lift.q"]))
     log = changed(whole, lift_q=middle + scale * (whole["lift.q"] - middle))
     log = changed(log, lift_qd=whole["lift.qd"] + offset)
-    notes = [note for note in notes_on_channels(log, model) if "another_unit" in note.key]
-    assert [note.fields["ratio"] for note in notes] == pytest.approx(
-        [scale] * (scale < 0.2), rel=0.02
-    )
+    notes = [note for note in notes_on_channels(log, model) if "rate_of_another" in note.key]
+    assert [note.key.rpartition("_")[2] for note in notes] == other
+    assert [note.fields["ratio"] for note in notes] == pytest.approx([scale] * len(other), rel=0.02)
+
+
+@pytest.mark.parametrize(("late", "key"), [(0, ""), (250, "sensors_late"), (-250, "commands_late")])
+def test_sensors_or_commands_of_another_clock_are_told_by_the_motion(late, key):
+    """Before that, they looked like sensors with turned signs."""
+    log, model = crane(), Model.of(rig())
+    at = np.arange(log.t.size) - late
+    moved = {
+        name: y if name.endswith("command") else y[np.clip(at, 0, y.size - 1)]
+        for name, y in log.channels.items()
+    }
+    notes = [*notes_on_channels(replace(log, channels=moved), model)]
+    assert [note.key for note in notes] == [f"preprocessing.{key}"] * bool(key)
+    assert all(abs(note.fields["ms"] - 250.0) < 60.0 for note in notes)
+
+
+def test_a_clock_that_is_off_is_as_likely_as_a_scale():
+    log, model = crane(), Model.of(rig())
+    notes = [*notes_on_channels(replace(log, t=1.01 * log.t), model)]
+    notes = [note for note in notes if note.key == "preprocessing.rate_of_another_scale"]
+    assert [note.fields["place"] for note in notes] == ["lift.q", "lift.x"]
+    assert [note.fields["ratio"] for note in notes] == pytest.approx(2 * [1.0 / 1.01], rel=1e-3)

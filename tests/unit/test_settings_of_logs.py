@@ -152,6 +152,19 @@ def stands_still(share):
     return sum(note.key == "preprocessing.stands_still" for note in notes)
 
 
+def comes_late(by, stray=0.0):
+    """Whether a way is late that goes out and back so many seconds after its commands, 0.3 s each,
+    and goes on by a share of all of it without one."""
+    t = np.arange(1000) * 0.01
+    back = [0.3, 0.3, 0.6 * stray / (1.0 - stray)]
+    y = sum(
+        sign * np.clip(t - start - by, 0.0, span)
+        for sign, start, span in zip((1.0, -1.0, 1.0), (3.0, 3.8, 5.0), back, strict=True)
+    )
+    places, each = np.array([300, 330, 380, 410]), np.array([1.0, 0.0, -1.0])
+    return bool(plausibility._late(y, places, each, 0.01))
+
+
 def noisy_place(share):
     """Notes on a position whose noise is worth so much of a pressure's spread."""
     model = Model.of(SLIDE)
@@ -635,6 +648,8 @@ ROWS = [
     (PLAUSIBLE, "overshoot", beyond_driver, (0.009, 0.011), ["", "preprocessing.outside_driver"]),
     (PLAUSIBLE, "travel", travels, (0.019, 0.021), [False, True]),
     (PLAUSIBLE, "still", stands_still, (0.9e-4, 1.1e-4), [1, 0]),
+    (PLAUSIBLE, "latest", comes_late, (1.9, 2.2), [True, False]),
+    (PLAUSIBLE, "stray", lambda s: comes_late(0.5, s), (0.09, 0.11), [True, False]),
     (PLAUSIBLE, "worth", noisy_place, (0.095, 0.105), [0, 1]),
     (timestamps.SETTINGS, "rms", lambda x: is_even(x * SIGNS), (0.24, 0.26), [True, False]),
     (timestamps.SETTINGS, "fewest", enough, (19, 20), [False, True]),

@@ -275,6 +275,10 @@ def test_cylinders_whose_ringing_is_not_judged_are_named_with_the_commonest_reas
         ([], [], "accepted", (0, 0)),
         ([(0.49, 9.0)], [], "accepted", (0, 0)),  # not most of the residual
         ([(0.51, 0.9)], [], "accepted with reservation", (0, 1)),
+        ([(0.89, 0.9)], [], "accepted with reservation", (0, 1)),  # and something else is left
+        ([(0.91, 0.9)], [], "accepted", (0, 0)),  # the interval of what was identified holds all
+        ([(0.91, 0.0)], [], "accepted with reservation", (0, 1)),  # of a number that is fixed
+        ([(0.91, 1.1)], [], "rejected", (1, 0)),
         ([(0.51, 1.1)], [], "rejected", (1, 0)),  # beyond the interval of what was identified
         ([(0.3, 9.0), (0.51, 0.9)], [], "accepted with reservation", (0, 1)),
         ([(0.6, 0.9), (0.51, 1.1)], [], "accepted with reservation", (0, 1)),  # the likeliest
