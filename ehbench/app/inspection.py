@@ -167,7 +167,6 @@ def _rig(path: Path) -> Inspection:
     for load in (None, *rig.payload):
         try:
             texts, remarks = _standstill(rig, load)
-            remarks += _wide_bodies(rig, load)
         except EhbenchError as error:
             text, line = error.message, line_naming(path, error.message)
             raise type(error)(text, file=path, line=line, hint=error.hint) from None
@@ -181,21 +180,6 @@ def _rig(path: Path) -> Inspection:
         words.append(f"{bare} without a source")
     lines.append(message("app.sources", sources=", ".join(words) or "no sources given"))
     return Inspection((*lines, "ok"), of_rig=tuple(notes))
-
-
-def _wide_bodies(rig: Rig, load: str | None) -> list[Message]:
-    """Notes on links whose inertia spreads their mass farther than the machine reaches."""
-    chain, notes = rig.loaded(load), []
-    links = () if isinstance(chain, Slide) else chain.joint
-    reach = sum(math.hypot(link.dh_a, link.dh_d, *link.com.value) for link in links)
-    for link in links:
-        mass, widest = link.mass, max(link.inertia.parts[:3], key=float)
-        if float(widest) > float(mass) * reach**2:
-            fields = {"link": link.name, "mass": mass.like("mass", float(mass))}
-            fields |= {"inertia": widest.like("inertia", float(widest))}
-            fields |= {"load": load or "no payload", "reach": rig.shown("dh_a", reach, 3)}
-            notes.append(message("app.wide_body", **fields))
-    return notes
 
 
 def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
@@ -223,7 +207,18 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
     ends = [np.linspace(*model.stroke_range(index), each) for index in range(len(rig.cylinder))]
     postures = np.tile(model.posture({}), (each ** len(ends), 1))
     postures[:, model.plant.cylinders.joint] = list(product(*ends))
-    return lines, list(model.weak_supply(load, postures))
+    notes = list(model.weak_supply(load, postures))
+    chain = whole.loaded(load)
+    links = () if isinstance(chain, Slide) else chain.joint
+    reach = sum(math.hypot(link.dh_a, link.dh_d, *link.com.value) for link in links)
+    for link in links:
+        mass, widest = link.mass, max(link.inertia.parts[:3], key=float)
+        if float(widest) > float(mass) * reach**2:  # its mass beyond where the machine reaches
+            fields = {"link": link.name, "mass": mass.like("mass", float(mass))}
+            fields |= {"inertia": widest.like("inertia", float(widest))}
+            fields |= {"load": load or "no payload", "reach": rig.shown("dh_a", reach, 3)}
+            notes.append(message("app.wide_body", **fields))
+    return lines, notes
 
 
 def _map(path: Path) -> Inspection:

@@ -41,7 +41,7 @@ def misread(case: Case, before: Case | None = None) -> Iterator[Message]:
     case = replace(case, refined=False)
     left = _left(case)
     astray = left is None or is_astray(case, left)
-    others = (*_carrying(case), *_supplied(case), *(_exchanged(case) if astray else ()))
+    others = (*_set_up(case), *(_exchanged(case) if astray else ()))
     best = _best(case, left, others)
     if best is None and astray and before is not None:
         before = replace(before, refined=False)
@@ -94,17 +94,13 @@ def _best(
     return best
 
 
-def _carrying(case: Case) -> Iterator[Otherwise]:
-    """A log with each other payload of the rig."""
+def _set_up(case: Case) -> Iterator[Otherwise]:
+    """A log with each other payload of the rig, or with its supply's recorded pressure."""
     rig, said = case.model.bare, payload_of(case.record) or NONE
     for load in (NONE, *rig.payload):
         if load != said:
             model = model_of(rig, case.maps, None if load == NONE else load)
             yield replace(case, model=model), "carried", {"load": load, "said": said}
-
-
-def _supplied(case: Case) -> Iterator[Otherwise]:
-    """A log whose supply has the pressure that was recorded."""
     if "p_supply" in case.record and not supplied(case.record):
         record = replace(case.record, meta={**case.record.meta, SUPPLY: RECORDED})
         yield replace(case, record=record), "supplied", {}

@@ -93,25 +93,20 @@ def _stop(rows, which, index, entry, value, bound):
 
 
 @part_kernel
-def _other_stroke(rows, i, c):
-    """A cylinder's stroke [m] without its own sensor: by the angle of a joint that turns, else by
-    its speed, which may come of that sensor: while this stays at one number, by the desired motion.
-    What they add wrongly is forgotten. It is nan where nothing says it."""
-    sample, checks = rows.sample, rows.checks
-    if checks.measured[entry(c, OF.q)] and checks.cylinders[c].geometry != DIRECT:
-        return linkage_of(checks.cylinders[c], sample[entry(c, OF.q)])[0]
-    x, moved = sample[entry(c, OF.x)], math.nan
-    if i > 0:
+def _mismatch(rows, i, c):
+    """By how much a cylinder's stroke [m] is beyond that of its joint's coordinate, or, of a slide
+    and where none is measured, beyond its speed, whose error is forgotten; the larger of both."""
+    sample, checks, apart = rows.sample, rows.checks, 0.0
+    x, q = sample[entry(c, OF.x)], sample[entry(c, OF.q)]
+    if checks.measured[entry(c, OF.q)]:
+        apart = x - linkage_of(checks.cylinders[c], q)[0]
+        if checks.cylinders[c].geometry != DIRECT:
+            return apart
+    if i > 0 and checks.measured[entry(c, OF.v)]:
         tick, before = rows.t[i] - rows.t[i - 1], rows.samples[i - 1, entry(c, OF.x)]
-        if checks.measured[entry(c, OF.v)]:
-            moved = tick * sample[entry(c, OF.v)]
-        meant = checks.desired[i, c] - checks.desired[i - 1, c]
-        if x == before and not (math.isnan(meant) or abs(moved) > abs(meant)):
-            moved = meant
-        if not math.isnan(moved):
-            checks.apart[c] += x - before - moved
+        checks.apart[c] += x - before - tick * sample[entry(c, OF.v)]
         checks.apart[c] /= 1.0 + tick / FORGETS
-    return x - checks.apart[c]
+    return apart if abs(apart) >= abs(checks.apart[c]) else checks.apart[c]
 
 
 @part_kernel
@@ -140,7 +135,7 @@ def _of_cylinder(rows, i, c):
     j = entry(c, OF.v)
     if abs(sample[j]) > limits[SPEED]:
         return _stop(rows, SPEED, c, j, sample[j], limits[SPEED])
-    apart = x - _other_stroke(rows, i, c)
+    apart = _mismatch(rows, i, c)
     if abs(apart) > checks.mismatch[c]:
         return _stop(rows, MISMATCH, c, entry(c, OF.x), apart, checks.mismatch[c])
     apart = x - checks.desired[i, c]

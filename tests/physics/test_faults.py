@@ -157,7 +157,6 @@ def test_both_paths_of_a_session_stop_at_the_same_row():
 @pytest.mark.parametrize(
     ("fault", "stops"),
     [
-        ({"kind": "stuck", "target": "press.x", "start": "1.53 s"}, True),  # its speed says 0 too
         ({"kind": "zero", "target": "press.v", "start": "1.53 s"}, True),
         ({"kind": "scale", "target": "press.v", "start": "0 s", "value": "0.9"}, False),
         ({"kind": "offset", "target": "press.v", "start": "0 s", "value": "10 mm/s"}, False),

@@ -682,9 +682,13 @@ def test_a_stroke_that_stays_while_the_speed_goes_on_is_no_standstill():
         numbers[[q, x]], numbers[v] = 0.16, 0.0 if both else numbers[v]
         return numbers
 
-    for change, keys in ((stuck, []), (partial(stuck, both=True), ["trial.unmoved"])):
+    cases = (
+        (stuck, "position_mismatch", []),
+        (partial(stuck, both=True), "following_error", ["trial.unmoved"]),
+    )
+    for change, limit, keys in cases:
         result, _, _ = over_link(trial("bench"), on_sample=change, **limits)
-        assert result.facts.stop.limit == "following_error"
+        assert (result.facts.stop.limit, result.facts.stop.channel) == (limit, "press.x")
         assert [note.key for note in result.facts.warnings] == keys
 
 

@@ -133,7 +133,7 @@ def test_channels_are_exchanged_where_half_the_spread_is_left(share, asked, monk
     spread = np.concatenate([(y - y.mean()) / case.scales[n] for n, y in case.recorded.items()])
     turned = replace(case, name="turned")
     monkeypatch.setattr(recordings, "_left", lambda at: spread * (at is not turned) * share)
-    monkeypatch.setattr(recordings, "_carrying", lambda at: ())
+    monkeypatch.setattr(recordings, "_set_up", lambda at: ())
     for key, told in (("", False), ("exchanged", asked)):
         other = (turned, key, dict.fromkeys(("first", "second"), key))
         monkeypatch.setattr(recordings, "_exchanged", lambda at, other=other: (other,))
