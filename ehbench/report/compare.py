@@ -116,7 +116,7 @@ def _inputs(run: Saved) -> dict[str, str]:
     known = {"recipe": facts["recipe"]["sha256"]}
     for item in facts["inputs"]:
         known[f"{item['role']} {_RUN.sub('', Path(item['path']).name)}"] = item["sha256"]
-    for name, version in read_versions(facts.plain()).rows():
+    for name, version in read_versions(facts).rows():
         known[name if name == "schema" else f"method {name}"] = str(version)
     known |= {f"version of {name}": str(value) for name, value in facts["versions"].items()}
     return known | {f"seed of {k}": str(v) for k, v in facts.get("seeds", {}).items()}

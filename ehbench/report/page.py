@@ -130,7 +130,7 @@ class RunPictures:
         """
         results = []
         for place, entry in enumerate(self._entries, 1):
-            if not shows.items() <= entry["about"].plain().items():
+            if not shows.items() <= entry["about"].items():
                 continue
             path = self._run.folder / "figures" / Path(entry["file"]).name
             given = self._titles.of(self._run, entry["key"])
@@ -208,7 +208,7 @@ def _provenance(runs: Sequence[Saved]) -> Section:
             *([role, Cell(path, "code"), Cell(digest, "hash")] for role, path, digest in files),
         ]
         versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
-        versions += f"; {read_versions(facts.plain())}"
+        versions += f"; {read_versions(facts)}"
         seeds = ", ".join(f"{name} {seed}" for name, seed in facts.get("seeds", {}).items())
         note = message("report.versions", versions=versions, seeds=seeds or "none")
         table = Grid(["role", "file", "SHA-256"], rows)

@@ -120,7 +120,7 @@ def _existing(places: Iterable[Path]) -> Path | None:
 def _changes(traced: TracedRun, seen: set[Path]) -> Iterator[Message]:
     seen.add(traced.folder.resolve())
     facts, name = traced.run.facts, traced.folder.name
-    plain = dict(facts.plain())
+    plain = dict(facts)
     inputs = [(item["role"], item["sha256"]) for item in facts["inputs"]]
     digest = rundir.run_hash(facts["recipe"]["sha256"], inputs, read_versions(plain))
     old = outdated(plain)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,35 +23,26 @@ from ehbench.vocabulary.text import unlike
 _INDEX = "figures/index.json"
 
 
-class Table(Mapping):
+class Table(dict[str, Any]):
     """A JSON object of a run folder whose missing keys are the file's fault and not ours."""
 
     def __init__(self, values: Any, file: Path, where: str = "") -> None:
         if not isinstance(values, dict):
             raise InputError(message("report.no_table", name=where or "the file"), file=file)
-        self._values, self._file, self._where = values, file, where
+        self._file, self._where = file, where
+        super().__init__((key, self._wrap(value, self._name(key))) for key, value in values.items())
 
-    def __getitem__(self, key: str) -> Any:
-        """The value; tables inside come as `Table`.
-
-        Raises:
-            InputError: no such key."""
-        name = f"{self._where}.{key}" if self._where else key
-        if key not in self._values:
-            raise InputError(message("report.no_key", name=name), file=self._file)
-        return self._wrap(self._values[key], name)
+    def __missing__(self, key: str) -> Any:
+        raise InputError(message("report.no_key", name=self._name(key)), file=self._file)
 
     def get(self, key: str, default: Any = None) -> Any:
         """The value, or ``default`` where the key is missing or null."""
-        return default if self._values.get(key) is None else self[key]
-
-    def plain(self) -> Mapping[str, Any]:
-        """The object as JSON has it."""
-        return self._values
+        value = super().get(key)
+        return default if value is None else value
 
     def having(self, key: str, value: Any) -> Table:
         """The same with another value."""
-        return Table({**self._values, key: value}, self._file, self._where)
+        return Table(self | {key: value}, self._file, self._where)
 
     def number(self, key: str) -> float | None:
         """A number, or None for null.
@@ -65,21 +55,15 @@ class Table(Mapping):
             raise InputError(text, file=self._file)
         return value
 
+    def _name(self, key: str) -> str:
+        return f"{self._where}.{key}" if self._where else key
+
     def _wrap(self, value: Any, name: str) -> Any:
         if isinstance(value, dict):
             return Table(value, self._file, name)
         if isinstance(value, list):
             return [self._wrap(item, f"{name}[{i}]") for i, item in enumerate(value)]
         return value
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._values
-
-    def __iter__(self):
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
 
 
 @dataclass(frozen=True)
@@ -156,7 +140,7 @@ class Saved:
             raise InputError(message("report.no_run"), file=place)
         self.facts = self.json("run.json")
         try:
-            TypeAdapter(_Facts).validate_python(dict(self.facts.plain()), strict=True)
+            TypeAdapter(_Facts).validate_python(self.facts, strict=True)
         except ValidationError as error:
             first = error.errors()[0]
             name, reason = (

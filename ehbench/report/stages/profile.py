@@ -24,7 +24,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 def draw_curve(path: Path, rig: Rig, result: Table) -> None:
     """Rise of −2 log likelihood with the 95 % level; below, the other parameters."""
-    name, others = result["name"], result["followed"].plain()
+    name, others = result["name"], result["followed"]
     x, rise = shown(rig, name, np.array(result["values"])), np.array(result["rise"])
     rows, level = (2 if others else 1), Z95**2
     dotted, dashed = (0, (2, 2)), (0, (4, 3))

@@ -349,7 +349,7 @@ def _minimum(points: Sequence[Table], key: str) -> float | None:
 
 def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
     """Controller parameters (thesis Table B.3), then what is demanded and reached at worst."""
-    gains = tuning["feedback_gain"].plain()
+    gains = tuning["feedback_gain"]
     if len(set(gains.values())) == 1:
         gains = {"all functions": next(iter(gains.values()))}
     crossed = any("regeneration" in function for function in tuning["feedback_gain"])
@@ -398,7 +398,7 @@ def findings(run: Saved) -> content.Findings:
         content.Headline(content.OFTEN, "Feedback gain K_p", gain),
     ]
     against = [] if tuning["met"] else [page.text("missed")]
-    demands = {"damping_ratio": tuning["target"], **tuning["constraints"].plain()}
+    demands = {"damping_ratio": tuning["target"], **tuning["constraints"]}
     worst = {name: _minimum(counted(tuning), name) for name in tuning["constraints"]}
     keys = reached_demands(run.rig, demands, {"damping_ratio": tuning["damping_ratio"], **worst})
     steps = [message("steps.smaller_margins", keys=keys)] if against else []
