@@ -21,6 +21,7 @@ from ehbench.vocabulary import VOCABULARY, InputError, grouped, message, to_si
 from ehbench.vocabulary.text import unlike
 
 _INDEX = "figures/index.json"
+_POINTS = "valve direction command pressure_drop flow fitted method outlier".split()
 
 
 class Table(dict[str, Any]):
@@ -79,25 +80,6 @@ class Series:
         channels = dict.fromkeys([*self.recorded, *self.simulated])
         seen = (channel for channel in channels if not channel.endswith(".command"))
         return grouped(seen, lambda channel: channel.rpartition(".")[0])
-
-
-@dataclass(frozen=True)
-class Points:
-    """Flowmeter readings as a flow-map run saved them, SI; one entry a reading."""
-
-    valve: np.ndarray
-    direction: np.ndarray
-    command: np.ndarray
-    pressure_drop: np.ndarray
-    flow: np.ndarray
-    fitted: np.ndarray
-    method: np.ndarray
-    outlier: np.ndarray
-
-    def of(self, valve: str, direction: str) -> Points:
-        """The readings of one map."""
-        rows = (self.valve == valve) & (self.direction == direction)
-        return Points(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
 
 class _File(TypedDict, total=False):
@@ -247,9 +229,9 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     return {head_of(name)[0]: column for name, column in zip(table.header, columns, strict=True)}
 
 
-def read_points(path: Path) -> Points:
-    """Flowmeter readings: ``valve, direction, command [V], pressure_drop [..], flow [..], fitted
-    [..], method, outlier``.
+def read_points(path: Path) -> np.recarray:
+    """Flowmeter readings as a flow-map run saved them, SI, a row a reading: ``valve, direction,
+    command, pressure_drop, flow, fitted, method, outlier``.
 
     Raises:
         InputError: a column is missing, or a cell is no number."""
@@ -257,17 +239,15 @@ def read_points(path: Path) -> Points:
     heads = map(head_of, table.header)
     columns = {name: (i, unit) for i, (name, unit) in enumerate(heads)}
     values_of: dict[str, np.ndarray] = {}
-    for name in Points.__dataclass_fields__:
+    for name in _POINTS:
         if name not in columns:
             text = message("data.no_column", name=name, there=", ".join(columns))
             raise InputError(text, file=path, line=1)
         place, unit = columns[name]
-        if name in ("valve", "direction", "method"):
-            values_of[name] = np.array(table.cells(place), dtype=str)
-        elif name == "outlier":
-            values_of[name] = np.array(table.cells(place)) == "1"
-        else:
-            row = VOCABULARY["flow" if name == "fitted" else name]
+        values_of[name] = np.array(table.cells(place), dtype=str)
+        if name == "outlier":
+            values_of[name] = values_of[name] == "1"
+        elif row := VOCABULARY.get("flow" if name == "fitted" else name):
             values = table.floats([place])[:, 0]
             values_of[name] = to_si(values, unit, row) if unit else values
-    return Points(**values_of)
+    return np.rec.fromarrays([*values_of.values()], names=[*values_of])

@@ -87,18 +87,14 @@ def number(value: float | None, digits: int = 4) -> str:
         return DASH if value is None or math.isnan(value) else ("∞" if value > 0 else "−∞")
     if value == 0.0:
         return "0"
-    size = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
-    if -4 < size < 6:
-        text = (
-            f"{value:.{max(digits - 1 - size, 0)}f}"
-            if size < digits
-            else f"{float(f'{value:.{digits - 1}e}'):.0f}"
-        )
-        text = text.rstrip("0").rstrip(".") if "." in text else text
-        return text.replace("-", "−")
     mantissa, power = f"{value:.{digits - 1}e}".split("e")
-    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa} × 10{str(int(power)).translate(_SUPERSCRIPT)}".replace("-", "−")
+    size, times = int(power), ""
+    if -4 < size < 6:
+        mantissa = f"{mantissa}e{power}"
+    else:
+        times = f" × 10{str(size).translate(_SUPERSCRIPT)}"
+    text = np.format_float_positional(float(mantissa), trim="-")
+    return f"{text}{times}".replace("-", "−")
 
 
 def fixed(value: float, places: int) -> str:

@@ -10,7 +10,7 @@ from ehbench.config.rig import Rig
 from ehbench.physics.flow_map import FlowMap
 from ehbench.report import content
 from ehbench.report.blocks import Part
-from ehbench.report.saved import FigureIndex, Points, Saved, Table, read_points
+from ehbench.report.saved import FigureIndex, Saved, Table, read_points
 from ehbench.report.style import (
     ACCENT,
     INK,
@@ -46,7 +46,8 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for item in maps:
         path = place("flow_map", "Flow map", "level" if item.level else "map", item)
         picture = draw_level_map if item.level else draw_map
-        picture(path, run.rig, item, points.of(item.valve, item.direction))
+        rows = (points.valve == item.valve) & (points.direction == item.direction)
+        picture(path, run.rig, item, points[rows])
     for item in maps:
         if not item.level:
             draw_inverse(place("inverse_map", "Inverse map", "inverse", item), run.rig, item)
@@ -57,7 +58,7 @@ _METERS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
 Ends = dict[str, tuple[float, Any]]  # label of a curve → (where it ends, its colour)
 
 
-def draw_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
+def draw_map(path: Path, rig: Rig, item: FlowMap, points: np.recarray) -> None:
     """Flow over pressure drop by command: readings, outliers, bands; residuals below."""
     commands = item.hull_command[item.hull_command > item.deadband]
     colours = dict(zip(commands, shades(commands.size), strict=True))
@@ -112,7 +113,7 @@ def draw_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
         legend(figure, handles)
 
 
-def draw_level_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
+def draw_level_map(path: Path, rig: Rig, item: FlowMap, points: np.recarray) -> None:
     """Flow over command of a map without pressures, with readings, outliers and band."""
     command = np.unique(np.append(np.linspace(0.0, item.command_max, 241), item.deadband))
     flow = shown(rig, "flow", item.flow(item.drop_max, command))
@@ -212,7 +213,7 @@ def _in_and_out(
         ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4, linestyle=mark)
 
 
-def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
+def _readings(ax, rig: Rig, points: np.recarray, colour: Callable) -> list:
     """Readings by method in the colour of their curve; legend handles."""
     x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
     handles = []
@@ -228,7 +229,7 @@ def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
     return handles
 
 
-def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list:
+def _outliers(ax, rig: Rig, points: np.recarray, limits: tuple[float, float]) -> list:
     """Readings left out, crossed; at the edge where they lie outside; legend handles."""
     out = points.outlier
     if not out.any():

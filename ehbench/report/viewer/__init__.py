@@ -170,7 +170,8 @@ def _map(item: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) 
         x, y = shown(rig, "pressure_drop", drop), shown(rig, "flow", np.asarray(item.flow(drop, u)))
         curves.append(Curve(f"{number(u, 3)} V", flow, x, y, of, what="flow"))
     if readings is not None:
-        points = read_points(readings).of(item.valve, item.direction)
+        points = read_points(readings)
+        points = points[(points.valve == item.valve) & (points.direction == item.direction)]
         order = np.argsort(points.pressure_drop)
         x = shown(rig, "pressure_drop", points.pressure_drop[order])
         y = shown(rig, "flow", points.flow[order])
