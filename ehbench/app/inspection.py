@@ -28,22 +28,35 @@ from ehbench.vocabulary.units import fitting
 from ehbench.workflow import ROOT
 
 
+Rows = list[tuple[str, str]]
+_NOTES = ("note", "not checked")
+
+
 @dataclass(frozen=True)
 class Inspection:
-    """What a file holds, its errors and exit code (3: data loss); notes of a recipe, or of a
-    rig."""
+    """What a file is, and what it holds as rows (what, text), notes among them; its errors and exit
+    code (3: data loss); what preparing a recipe found."""
 
-    lines: tuple[str, ...]
+    head: str
+    rows: Rows
     code: int = 0
     errors: tuple[EhbenchError, ...] = ()
     notes: Notes | None = None
-    of_rig: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it, the verdict last."""
+        rows = [": ".join(filter(None, row)) for row in self.rows]
+        return [self.head, *(f"  {row}" for row in rows), self.state]
+
+    @property
+    def state(self) -> str:
+        """Whether it is valid."""
+        state = plural(len(self.errors), "error") if self.errors else "ok"
+        return state + (", with losses" if self.code == 3 else "")
 
     def answer(self, path: Path) -> Answer:
         """What the command says of a file: a row for each thing it holds, and how to run it."""
-        words = ("note", "not checked")
-        rows = [line.strip().partition(": ") for line in self.lines[1:] if line.startswith(" ")]
-        facts = [row for row in rows if row[0] not in words]
         steps = []
         if self.notes is not None and not self.errors and not self.notes.refused:
             stage = stage_of(self.notes.recipe)
@@ -53,15 +66,11 @@ class Inspection:
                 odd = [getattr(note, "fields", {}) for note in self.notes.remarks]
                 steps += ranked(written_step(each) for each in odd if "where" in each)[:2]
                 steps.append(message("steps.run_recipe", **fields))
-        state = plural(len(self.errors), "error") if self.errors else "ok"
-        state += ", with losses" if self.code == 3 else ""
-        remarks = self.of_rig if self.notes is None else self.notes.remarks
-        known = {str(note): note for note in remarks}
         return Answer(
-            f"{state}: {self.lines[0]}",
-            [Grid(["", ""], [row[::2] if row[1] else ("", row[0]) for row in facts])],
+            f"{self.state}: {self.head}",
+            [Grid(["", ""], [row for row in self.rows if row[0] not in _NOTES])],
             steps,
-            [known.get(row[2], row[2]) for row in rows if row[0] in words],
+            [text for word, text in self.rows if word in _NOTES],
             values={"code": self.code, "lines": self.lines, "errors": list(map(str, self.errors))},
         )
 
@@ -87,7 +96,7 @@ def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> I
         raise InputError(message("app.is_folder"), file=path)
     if path.suffix == ".csv" and is_flowmeter(path):
         data = read_flowmeter(path)
-        lines = [f"flowmeter readings: {data.flow.size} rows"]
+        readings: Rows = []
         for valve, direction in data.groups():
             rows = data.select(valve, direction)
             drop = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
@@ -97,14 +106,13 @@ def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> I
                 drops = f"drops {' to '.join(ends)}"
             text = message(
                 "app.readings",
-                map=f"{valve} {direction}",
                 readings=plural(len(rows.flow), "reading"),
                 commands=plural(len(set(rows.command.tolist())), "command"),
                 drops=drops,
                 flow=rows.shown("flow", abs(rows.flow).max()),
             )
-            lines.append(text)
-        return Inspection((*lines, "ok"))
+            readings.append((f"{valve} {direction}", text))
+        return Inspection(f"flowmeter readings: {data.flow.size} rows", readings)
     return _log(path, verbose)
 
 
@@ -112,8 +120,8 @@ def _recipe(path: Path, dry_run: DryRun) -> Inspection:
     notes = dry_run.check(load_recipe(path))
     recipe = notes.recipe
     kind = " ".join(word.replace("_", " ") for word in recipe.kind() if word)
-    lines = [f"recipe '{recipe.name}': {kind}" + (f", '{recipe.title}'" if recipe.title else "")]
-    lines += [f"  it {notes.does}"] if notes.does else []
+    head = f"recipe '{recipe.name}': {kind}" + (f", '{recipe.title}'" if recipe.title else "")
+    rows = [("", f"it {notes.does}")] if notes.does else []
     for word, texts in (
         ("runs" if isinstance(recipe, Campaign) else "reads", notes.reads),
         ("runs first", [", ".join(notes.required)]),
@@ -121,11 +129,9 @@ def _recipe(path: Path, dry_run: DryRun) -> Inspection:
         ("note", [*notes.losses, *notes.remarks]),
         ("not checked", notes.undecided),
     ):
-        lines += [f"  {word}: {text}" for text in texts if text]
-    if notes.errors:
-        lines.append(plural(len(notes.errors), "error"))
-        return Inspection(tuple(lines), notes.errors[0].exit_code, tuple(notes.errors), notes)
-    return Inspection((*lines, "ok"), 3 if notes.losses else 0, notes=notes)
+        rows += [(word, text) for text in texts if text]
+    code = notes.errors[0].exit_code if notes.errors else 3 * bool(notes.losses)
+    return Inspection(head, rows, code, tuple(notes.errors), notes)
 
 
 def _rig(path: Path) -> Inspection:
@@ -143,10 +149,8 @@ def _rig(path: Path) -> Inspection:
     pressure = rig.shown("pressure", float(rig.supply.pressure))
     maximum = rig.shown("flow_limit", float(rig.supply.flow_limit))
     kind = "" if rig.supply.constant else f", {rig.supply.kind}"
-    lines = [
-        f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else ""),
-        f"  {parts}, supply {pressure} up to {maximum}{kind}",
-    ]
+    head = f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else "")
+    rows = [("", f"{parts}, supply {pressure} up to {maximum}{kind}")]
     notes: list[str] = []
     if rig.model is not None:
         notes.append(message("stages.fmu_is_code", fmu=rig.model.fmu))
@@ -170,16 +174,16 @@ def _rig(path: Path) -> Inspection:
         except EhbenchError as error:
             text, line = error.message, line_naming(path, error.message)
             raise type(error)(text, file=path, line=line, hint=error.hint) from None
-        lines += texts
+        rows += [(load or "no payload", text) for text in texts]
         notes += remarks
-    lines += [f"  note: {text}" for text in notes]
+    rows += [("note", text) for text in notes]
     values = rig.parameters().values()
     sources = Counter(value.sure for value in values if value.source)
     words = [f"{count} {word}" for word, count in sorted(sources.items())]
     if bare := sum(not value.source and value.text is not None for value in values):
         words.append(f"{bare} without a source")
-    lines.append(message("app.sources", sources=", ".join(words) or "no sources given"))
-    return Inspection((*lines, "ok"), of_rig=tuple(notes))
+    rows.append(("sources of the numbers", ", ".join(words) or "no sources given"))
+    return Inspection(head, rows)
 
 
 def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
@@ -196,9 +200,8 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
         first, last = (rig.text(word, value, decimals) for value in model.stroke_range(index))
         places = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
         head, rod = (rig.shown("p_head", state[place]) for place in places)
-        fields = {"load": load or "no payload", "cylinder": cylinder.name}
         ends = {"first": first.partition(" ")[0], "last": last}
-        text = str(message("app.standstill", **fields, **ends, head=head, rod=rod))
+        text = message("app.standstill", cylinder=cylinder.name, **ends, head=head, rod=rod)
         if abs(speed := model.creep(index, state)) > CREEPS:
             direction = "out" if speed > 0.0 else "in"
             text += f", creeping {direction} at {rig.shown('v', abs(speed), 2)}"
@@ -222,15 +225,14 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
 
 
 def _map(path: Path) -> Inspection:
-    columns = load_columns(path).columns
-    lines = [f"map of {plural(len(columns.names), 'column')}"]
+    columns, rows = load_columns(path).columns, []
     for name, column in columns.names.items():
         unit = f" [{column.unit}]" if column.unit else ""
         unit = f" {column.from_} → {column.to}" if column.from_ else unit
-        lines.append(f"  {name}: {column.channel}{unit}")
+        rows.append((name, f"{column.channel}{unit}"))
     if not any(column.channel != "t" for column in columns.names.values()):
         raise InputError(message("app.maps_nothing"), file=path)
-    return Inspection((*lines, "ok"))
+    return Inspection(f"map of {plural(len(rows), 'column')}", rows)
 
 
 def _log(path: Path, verbose: bool) -> Inspection:
@@ -240,7 +242,7 @@ def _log(path: Path, verbose: bool) -> Inspection:
     from ehbench.preprocessing.time_base import evened, parts_of
 
     record = read(path)
-    text = message(
+    head = message(
         "app.log",
         samples=record.t.size,
         channels=len(record.channels),
@@ -248,16 +250,16 @@ def _log(path: Path, verbose: bool) -> Inspection:
         last=float(record.t[-1]),
         step=record.sample_time * 1e3,
     )
-    lines = [text, *(f"  {key}: {text}" for key, text in record.meta.items() if len(text) < 200)]
+    rows = [(key, text) for key, text in record.meta.items() if len(text) < 200]
     for name, values in record.channels.items():
         row = quantity(name)
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
-        text = f"  {name}: {low:.4g} to {high:.4g} {row.display}"
+        text = f"{low:.4g} to {high:.4g} {row.display}"
         odd = [] if name.endswith(".command") else oddities(from_si(values, row.display, row))
         for kind, count, first, value in odd:
             fields = {"count": count, "value": value, "where": f"t = {record.t[first]:.6g} s"}
             text += "; " + message(f"app.odd_{kind}", **fields)
-        lines.append(text)
+        rows.append((name, text))
     unfit, gaps, more = "", [], []
     if record.t.size < LEAST_SAMPLES:
         unfit = message("app.few_samples", samples=plural(record.t.size, "sample"))
@@ -265,15 +267,12 @@ def _log(path: Path, verbose: bool) -> Inspection:
         parts, gaps = parts_of(path.name, record)
         try:
             for part in parts:
-                more += [f"  {text}" for text in evened(part.name, part.record)[1]]
+                more += evened(part.name, part.record)[1]
         except LogError as error:
             unfit = str(error)
     notes = [*record.losses, *gaps]
-    lines += [f"  lost: {note}" for note in lost(notes)]
-    lines += [f"  {note}" for note in recovered(path.name, notes)]
-    lines += [f"  {note}" for note in notes if verbose and note not in lost(notes)]
-    lines += [f"  {note}" for note in more]
-    if unfit:
-        lines.append(message("app.unfit", reason=unfit))
-    lossy = bool(lost(notes) or unfit)
-    return Inspection((*lines, "ok, with losses" if lossy else "ok"), 3 * lossy)
+    rows += [("lost", note) for note in lost(notes)]
+    each = [note for note in notes if verbose and note not in lost(notes)]
+    rows += [("", note) for note in (*recovered(path.name, notes), *each, *more)]
+    rows += [("unfit for identification", unfit)] if unfit else []
+    return Inspection(head, rows, 3 * bool(lost(notes) or unfit))
