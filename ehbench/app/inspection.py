@@ -1,10 +1,15 @@
 """What a file holds, and whether it is valid; a recipe by a dry run of its stage."""
 
+from __future__ import annotations
+
 import math
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +25,15 @@ from ehbench.stages import Stage, stage_of
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
-from ehbench.vocabulary import Message, from_si, message, plural, quantity
+from ehbench.vocabulary import Message, Quantity, from_si, message, plural, quantity
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
 from ehbench.vocabulary.messages import ranked
 from ehbench.vocabulary.text import shortened_path
 from ehbench.vocabulary.units import fitting
 from ehbench.workflow import ROOT
+
+if TYPE_CHECKING:
+    from ehbench.plant.model import Model
 
 
 Rows = list[tuple[str, str]]
@@ -194,7 +202,7 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
     whole, _ = with_orifices(rig, None)
     model = Model.of(whole, payload=load)
     state = model.trim(model.posture({}))
-    lines = []
+    lines, notes = [], list[Message]()
     for index, cylinder in enumerate(rig.cylinder):
         word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
         first, last = (rig.text(word, value, decimals) for value in model.stroke_range(index))
@@ -205,12 +213,19 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
         if abs(speed := model.creep(index, state)) > CREEPS:
             direction = "out" if speed > 0.0 else "in"
             text += f", creeping {direction} at {rig.shown('v', abs(speed), 2)}"
+        for what, row, value in abilities(model, index):
+            text += f"; {what} {rig.shown(row.name, value)}"
+            if not row.usual[0] <= value <= row.usual[1]:
+                fields = {"cylinder": cylinder.name, "load": load or "no payload", "what": what}
+                low, high = (rig.shown(row.name, end) for end in row.usual)
+                fields |= {"value": rig.shown(row.name, value), "low": low, "high": high}
+                notes.append(message("app.improbable", **fields))
         lines.append(text)
     each = min(9, max(2, int(200 ** (1 / len(rig.cylinder)))))  # some 200 postures of all together
     ends = [np.linspace(*model.stroke_range(index), each) for index in range(len(rig.cylinder))]
     postures = np.tile(model.posture({}), (each ** len(ends), 1))
     postures[:, model.plant.cylinders.joint] = list(product(*ends))
-    notes = list(model.weak_supply(load, postures))
+    notes += model.weak_supply(load, postures)
     chain = whole.loaded(load)
     links = () if isinstance(chain, Slide) else chain.joint
     reach = sum(math.hypot(link.dh_a, link.dh_d, *link.com.value) for link in links)
@@ -222,6 +237,27 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
             fields |= {"load": load or "no payload", "reach": rig.shown("dh_a", reach, 3)}
             notes.append(message("app.wide_body", **fields))
     return lines, notes
+
+
+def abilities(model: Model, cylinder: int) -> Iterator[tuple[str, Quantity, float]]:
+    """What the oil and the valves of a cylinder make of it at mid-stroke, as far as a controller
+    could: (what, its quantity, value [SI])."""
+    from ehbench.control.axis import hydraulic_frequency
+    from ehbench.control.functions import default_pressure
+    from ehbench.plant.design_point import circuit_of, design_point_of
+    from ehbench.trial.controllers import Design
+    from ehbench.trial.motion import full_speed
+
+    name, q = model.rig.cylinder[cylinder].name, model.posture({})
+    with suppress(InputError):  # a pump moves it, or it has no lever there
+        circuit = circuit_of(model, cylinder)
+        frequency = hydraulic_frequency(design_point_of(model, circuit, q, 1.0).axis)
+        yield "natural frequency", quantity("natural_frequency"), frequency
+        design = Design(model.rig, None, model, name, cylinder, q, circuit)
+        low = default_pressure(float(model.plant.supply.pressure))
+        for way, what in ((1, "full speed out"), (-1, "full speed in")):
+            with suppress(InputError):  # no valve for it
+                yield what, quantity("speed"), full_speed(design, way, low)
 
 
 def _map(path: Path) -> Inspection:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+import ehbench
 from ehbench.app import inspection
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.trial import run_trial
@@ -46,6 +47,16 @@ SLIDE, THESIS, PUMP = (
 )
 TEXTS = {"crane": CRANE, "rated": PRESS, "press": PRESS, "pump": PUMP, "part": CRANE}
 TEXTS |= {"slide": SLIDE, "thesis": THESIS}
+WAYS = {"out": 10.0, "in": -10.0}
+SLOW_AND_FAST = [
+    ("250 kg", "250 kg", set()),
+    ("250 kg", "250 g", {"natural frequency"}),
+    (
+        'flow_limit = { value = "60 L/min"',
+        'flow_limit = { value = "60 mL/min"',
+        {"full speed out", "full speed in"},
+    ),
+]
 SLIPS = tomllib.loads(Path(__file__).with_name("rig_slips.toml").read_text("utf-8"))
 
 
@@ -173,6 +184,32 @@ def test_an_inertia_that_spreads_a_mass_beyond_the_machine_is_noted(tmp_path, ma
     notes = inspection.check(tmp_path / "rig.toml").answer(tmp_path).notes
     found = [n.fields for n in notes if isinstance(n, Message) and n.key == "app.wide_body"]
     assert [(fields["link"], fields["mass"]) for fields in found] == [("boom", mass)] * wide
+
+
+def test_check_says_how_fast_a_machine_swings_and_moves(tmp_path):
+    """A slide on its oil by hand; a crane's speed as its simulation with an open valve ends."""
+    (tmp_path / "rig.toml").write_text(SLIDE)
+    lines = "".join(inspection.check(tmp_path / "rig.toml").lines)
+    shown = [float(number) for number in re.findall(r"natural frequency ([\d.]+) Hz", lines)]
+    head = math.pi / 4 * 0.05**2
+    rod = head - math.pi / 4 * 0.028**2
+    spring = 9e8 * (head**2 / (150e-6 + 0.2 * head) + rod**2 / (700e-6 - 0.2 * rod))
+    swings = [math.sqrt(spring / mass) / math.tau for mass in (250.0, 350.0)]
+    assert shown == pytest.approx(swings, rel=1e-3)
+    crane = load_rig(RIGS / "crane_proportional.toml")
+    for path, way, volts in ((RIGS / "crane_proportional.toml", w, v) for w, v in WAYS.items()):
+        (line, *_) = (text for text in inspection.check(path).lines if f"full speed {way}" in text)
+        speed = float(re.findall(rf"full speed {way} ([\d.]+) mm/s", line)[0])
+        log = ehbench.simulate(crane, {"lift.spool": volts}, duration=0.6)
+        assert speed == pytest.approx(1e3 * abs(log["lift.v"][-1]), rel=0.03)
+
+
+@pytest.mark.parametrize(("old", "new", "what"), SLOW_AND_FAST)
+def test_a_machine_that_no_one_builds_is_noted(tmp_path, old, new, what):
+    (tmp_path / "rig.toml").write_text(SLIDE.replace(old, new))
+    notes = inspection.check(tmp_path / "rig.toml").answer(tmp_path).notes
+    found = [n.fields for n in notes if isinstance(n, Message) and n.key == "app.improbable"]
+    assert {fields["what"] for fields in found if fields["load"] == "no payload"} == what
 
 
 def test_pressure_that_the_areas_raise_is_no_load_beyond_the_supply(tmp_path):
