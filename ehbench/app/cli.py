@@ -444,7 +444,7 @@ def map_columns(_: Says, file: Path, out: Path | None, rig: Path | None) -> Answ
 
     if rig is None and Path("rig.toml").is_file():
         rig = Path("rig.toml")
-    return mapping.draft(file, out, None if rig is None else load_rig(rig)).answer()
+    return mapping.draft(file, out, None if rig is None else load_rig(rig))
 
 
 @_command(

@@ -157,8 +157,8 @@ def test_gauges_are_known_by_name_and_unit(tmp_path):
     rows = [row.format(s, 8 * np.sin(20 * s), s * 90, s * 100, s * 80) for s in t]
     (tmp_path / "run.txt").write_text(names + "\n".join(rows))
     made = draft(tmp_path / "run.txt", tmp_path / "run.map.toml", slide())
-    found = load_columns(made.path).columns.names
+    found = load_columns(made.place).columns.names
     assert found["Load Cell"].channel == "press.rod_force"
     assert found["Diff Press"].channel == "press.load_pressure"
     assert found["Spool Pos"].channel == "press.servo.opening"
-    assert "1000 Hz" in "\n".join(made.lines)
+    assert "1000 Hz" in "\n".join(made.notes)

@@ -464,21 +464,22 @@ def test_a_raw_file_is_taken_at_the_first_go(tmp_path, monkeypatch):
     lines[50] = ";".join([*lines[50].split(";")[:2], "", *lines[50].split(";")[3:]])
     (tmp_path / "raw.csv").write_text("\n".join(lines), encoding="cp1252")
     made = mapping.draft(Path("raw.csv"), None, load_rig(RIG))
-    assert made.path == Path("raw.map.toml") and made.picture.read_text().startswith("<svg")
-    assert any(line.startswith("taken with this map: <Record: 2001") for line in made.lines)
-    record, log = read(Path("raw.csv"), columns=made.path), read(LOG)
+    assert made.place == Path("raw.map.toml")
+    assert made.values["picture"].read_text().startswith("<svg")
+    assert any(line.startswith("taken with this map: <Record: 2001") for line in made.notes)
+    record, log = read(Path("raw.csv"), columns=made.place), read(LOG)
     assert "1 bad sample left out" in record.losses[0] and "line 51" in record.losses[0]
     for name in ("press.x", "press.p_head", "press.p_rod"):
         whole = np.arange(log.t.size) != 46  # that of line 51
         np.testing.assert_allclose(record[name][whole], log[name][whole], rtol=1e-8)
     ends = 'from = ["4 mA", "20 mA"]'
-    assert ends in made.path.read_text() and "press.servo.command" in record
+    assert ends in made.place.read_text() and "press.servo.command" in record
     with pytest.raises(InputError, match="raw.map.toml: stands already"):
         mapping.draft(Path("raw.csv"), None, load_rig(RIG))
-    made.path.unlink()
+    made.place.unlink()
     with pytest.raises(InputError, match="raw.map.svg: stands already"):
         mapping.draft(Path("raw.csv"))
-    assert not made.path.exists()
+    assert not made.place.exists()
 
 
 @pytest.mark.slow
@@ -499,11 +500,12 @@ def test_what_a_draft_is_not_sure_of_stands_as_a_remark(tmp_path):
     rows = [f"{i // 10 / 100:.2f},{50 + i},{i % 7},{i}" for i in range(200)]
     (tmp_path / "a.csv").write_text('time,pressure A,"AI7 ""new""",Kraft\n' + "\n".join(rows))
     made = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml")
-    text = made.path.read_text()
+    text = made.place.read_text()
     assert 'rate = "1000' in text or 'rate = "10' in text
     assert '# "pressure A" = "cylinder.p_head"' in text
-    assert load_columns(made.path).columns.names == {}
-    assert made.lines[-1].startswith("next: say in")
+    assert load_columns(made.place).columns.names == {}
+    assert made.steps[0].fields["column"] == "time"
+    assert made.steps[0].key == "steps.complete_map"
 
 
 def test_readings_of_a_flowmeter_are_drafted_and_taken(tmp_path):
@@ -516,12 +518,12 @@ def test_readings_of_a_flowmeter_are_drafted_and_taken(tmp_path):
     head = f"Sweep 12\n{names}\n(s)\t()\t(mA)\t(psid)\t(gpm)\n"
     (tmp_path / "sweep.txt").write_text(head + "\n".join(rows))
     made = mapping.draft(tmp_path / "sweep.txt", tmp_path / "sweep.map.toml")
-    names = load_columns(made.path).columns.names
+    names = load_columns(made.place).columns.names
     truth = {"Valve port": "valve", "Solenoid Current": "command"}
     truth |= {"Delta P": "pressure_drop", "Flow": "flow"}
     assert {name: one.channel for name, one in names.items()} == truth
-    assert "100 of PA forward" in made.lines[-2] and "100 of PB forward" in made.lines[-2]
-    columns = load_columns(made.path)
+    assert "100 of PA forward" in made.notes[-1] and "100 of PB forward" in made.notes[-1]
+    columns = load_columns(made.place)
     data = read_flowmeter(tmp_path / "sweep.txt", columns)
     assert data.pressure_drop[0] == pytest.approx(100 * 6894.757, rel=1e-6)
     assert data.command[:2] == pytest.approx([-10.0, -9.5])
@@ -538,8 +540,8 @@ def test_a_workbook_with_a_sheet_a_valve_is_one_of_readings(tmp_path, monkeypatc
         for mA in (13.0, 15.0, 18.0):
             sheet.append([mA, 100, mA - 12.0 if sheet.title == "pa" else 2.0 * (mA - 12.0)])
     book.save("flow.xlsx")
-    lines = mapping.draft(Path("flow.xlsx")).lines
-    assert "the same columns: table 'bt'" in lines and "3 of bt forward, 3 of pa" in lines[-2]
+    lines = mapping.draft(Path("flow.xlsx")).notes
+    assert "the same columns: table 'bt'" in lines and "3 of bt forward, 3 of pa" in lines[-1]
     data = read_flowmeter(Path("flow.xlsx"), load_columns("flow.map.toml"))
     flows = {valve: data.select(valve, "forward").flow for valve in ("pa", "bt")}
     assert np.allclose(flows["bt"], 2.0 * flows["pa"]) and flows["pa"][0] > 0.0
@@ -551,9 +553,9 @@ def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path, unp
         rows = [",".join(f"{one:.3f}" for one in row) for row in table]
         (tmp_path / "a.csv").write_text("\n".join([",".join(names), *rows]))
         made = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml")
-        found = load_columns(made.path).columns.names
-        made.path.unlink()
-        made.picture.unlink()
+        found = load_columns(made.place).columns.names
+        made.place.unlink()
+        made.values["picture"].unlink()
         return [found[name].channel if name in found else "" for name in names]
 
     sides = ["upstream_pressure", "downstream_pressure"]
@@ -855,13 +857,13 @@ def test_a_draft_takes_the_drop_from_the_names_of_columns_of_flow(tmp_path, undr
     head = "Consigne (V);Q @ 10 bar (l/min);Q @ 20,5 bar (l/min)\n"
     (tmp_path / "sh.csv").write_text(head + "".join(f"{k},0;{k}1,5;{k}2,5\n" for k in range(1, 9)))
     made = mapping.draft(tmp_path / "sh.csv", tmp_path / "sh.map.toml")
-    data = read_flowmeter(tmp_path / "sh.csv", load_columns(made.path))
+    data = read_flowmeter(tmp_path / "sh.csv", load_columns(made.place))
     assert sorted({*data.pressure_drop}) == pytest.approx([1e6, 2.05e6]) and len(data) == 16
     # where a column has the drops, two of flow are two guesses
     head = head.replace("Consigne (V)", "dp (bar)")
     (tmp_path / "sh.csv").write_text(head + "".join(f"{k},0;{k}1,5;{k}2,5\n" for k in range(1, 9)))
     made = mapping.draft(tmp_path / "sh.csv", tmp_path / "other.map.toml")
-    assert {one.channel for one in load_columns(made.path).columns.names.values()} == {
+    assert {one.channel for one in load_columns(made.place).columns.names.values()} == {
         "pressure_drop"
     }
 

@@ -99,7 +99,7 @@ def test_a_draft_of_such_a_file_knows_its_time_and_rates(tmp_path, monkeypatch):
     rows.insert(10, rows[9])
     (tmp_path / "bus.csv").write_text("\n".join([HEAD, *rows]) + "\n")
     monkeypatch.chdir(tmp_path)
-    said = "\n".join(draft(tmp_path / "bus.csv").lines)
+    said = "\n".join(draft(tmp_path / "bus.csv").lines(200, whole=True))
     text = (tmp_path / "bus.map.toml").read_text()
     assert '\n"time (s)" = "t [s]"' in text
     assert "rate =" not in text and "bad_samples" not in text
@@ -111,7 +111,7 @@ def test_a_draft_of_readings_in_percent(tmp_path, monkeypatch):
     lines += [f"1\t{10 * n}\t{700 + n}\t{0.5 * n}" for n in range(10)]
     (tmp_path / "pa.txt").write_text("\n".join(lines) + "\n")
     monkeypatch.chdir(tmp_path)
-    assert any("10 of pa forward" in line for line in draft(tmp_path / "pa.txt").lines)
+    assert any("10 of pa forward" in line for line in draft(tmp_path / "pa.txt").notes)
 
 
 def test_absolute_pressures_are_drafted_with_their_offset(tmp_path, monkeypatch):

@@ -54,13 +54,13 @@ def test_each_column_is_listed_and_what_is_undecided_is_a_remark(style, tmp_path
     recording = RECORDINGS[style]
     recording.write(path := tmp_path / recording.file)
     made = mapping.draft(path, tmp_path / "a.map.toml", None)
-    text = "\n".join(made.lines)
-    drafted = load_columns(made.path).columns.names
+    text = "\n".join(made.notes)
+    drafted = load_columns(made.place).columns.names
     for name in recording.truth:
-        line = next(line for line in made.lines if line.startswith(f"  {name} "))
+        line = " ".join(next(row for row in made.tables[0].rows if row[0] == name))
         assert any(word in line for word in ("certain", "likely", "undecided"))
         assert (name in drafted) == ("undecided" not in line)
-    drafted_as = dialect_of(load_columns(made.path))
+    drafted_as = dialect_of(load_columns(made.place))
     for table, again in zip(open_source(path).tables, open_source(path, drafted_as).tables):
         for column, other in zip(table.columns, again.columns, strict=True):
             np.testing.assert_array_equal(column.values, other.values)
@@ -72,9 +72,9 @@ def test_each_column_is_listed_and_what_is_undecided_is_a_remark(style, tmp_path
 def test_columns_without_numbers_are_listed_with_their_first_cell(tmp_path):
     rows = "".join(f"{0.01 * n:.2f},{n % 7}.5,{'RUN' if n else ''},1.2.3\n" for n in range(50))
     (tmp_path / "a.csv").write_text("t [s],p rod [bar],state,version\n" + rows)
-    lines = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml", None).lines
+    (table,) = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml", None).tables
     for name, cell, line in (("state", "'RUN'", "line 3"), ("version", "'1.2.3'", "line 2")):
-        found = next(text for text in lines if text.startswith(f"  {name} "))
+        found = " ".join(next(row for row in table.rows if row[0] == name))
         assert cell in found and line in found and "undecided" in found
 
 
@@ -100,7 +100,7 @@ def test_odd_samples_are_counted_and_located(name, tmp_path):
     assert (odd.kind, odd.count, odd.first) == (kind, count, first)
     rows = "".join(f"{0.01 * n:.2f},{value:.4f}\n" for n, value in enumerate(y))
     (tmp_path / "a.csv").write_text("t [s],lift.q [deg]\n" + rows)
-    drafted = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml", rig_of(False)).lines
+    drafted = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml", rig_of(False)).notes
     assert any(f"line {first + 2}" in line for line in drafted)
     checked = inspection.check(tmp_path / "a.csv").lines
     assert any(f"t = {0.01 * first:g} s" in line for line in checked)

@@ -3,7 +3,7 @@
 A guess goes by the unit that the file says, the words in the column's name and the names in the
 rig. What is not sure stands in the draft as a remark, for the user to decide."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -42,38 +42,13 @@ _SEPARATOR_WORDS = {
     " ": "white space",
 }
 
-__all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
+__all__ = ["Guess", "draft", "drafted", "guessed"]
 
 
-@dataclass(frozen=True)
-class Draft:
-    """A map as text, the picture that belongs to it, and what is to be said of both."""
-
-    path: Path
-    picture: Path
-    lines: tuple[str, ...]
-    rows: tuple[tuple[str, str, str], ...] = ()
-    sure: int = 0
-
-    def answer(self) -> Answer:
-        """What the command says: a row a column, what the file holds as notes."""
-        step = message("steps.name_map", map=self.path.name)
-        if open_ := [name for name, _, guess in self.rows if guess == "?"]:
-            step = message("steps.complete_map", map=self.path, column=open_[0])
-        counts = {"map": self.path, "sure": self.sure, "count": len(self.rows)}
-        return Answer(
-            message("app.drafted", **counts),
-            [Grid(["column", "range", "channel"], self.rows)],
-            [step],
-            self.lines,
-            self.path,
-            {"columns": [list(row) for row in self.rows], "picture": self.picture},
-        )
-
-
-def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
+def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Answer:
     """Look at a file and write a map of its columns, by default ``<name>.map.toml`` here, with a
-    picture of each; they may be of the cylinders and valves of a rig.
+    picture of each; they may be of the cylinders and valves of a rig. What there is to say of it: a
+    row a column, what the file holds as notes.
 
     Raises:
         InputError: something stands there already.
@@ -101,15 +76,26 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
     lines, rows = _overview(path, source, guesses)
     others = ", ".join(f"'{table.name}'" for table in sheets[1:])
     lines += [message("app.same_columns", tables=others)] if many else []
-    tried = _tried(path, out, guesses, rig, readings)
+    lines += _tried(path, out, guesses, rig, readings)
     sure = sum(guess.sure and bool(guess.channel) for guess in guesses.values())
-    return Draft(out, picture, (*lines, *tried), tuple(rows), sure)
+    step = message("steps.name_map", map=out.name)
+    undecided = [name for name, guess in guesses.items() if not guess.sure]
+    if undecided and not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
+        step = message("steps.complete_map", map=out, column=undecided[0])
+    return Answer(
+        message("app.drafted", map=out, sure=sure, count=len(rows)),
+        [Grid(["column", "range", "channel"], rows)],
+        [step],
+        lines,
+        out,
+        {"columns": rows, "picture": picture},
+    )
 
 
 def _overview(
     path: Path, source: Source, guesses: dict[str, Guess]
 ) -> tuple[list[str], list[tuple[str, str, str]]]:
-    """What the file holds: a line a column, and the same as (name, range, guess)."""
+    """(what the file holds, (name, range, guess) of each column)."""
     names, dialect = source.names(), source.dialect
     lines = [f"{path.name}: {reader_of(path).name}"]
     if dialect.separator is not None:
@@ -126,9 +112,7 @@ def _overview(
         title = f"table '{table.name}'" if table.name else "table"
         span = _span(table, index, names, guesses)
         lines.append(message("app.table_span", table=title, count=table.size, span=span))
-        here = [name for name, at in names.items() if at[0] == index]
-        wide = min(max(map(len, here), default=0), 40)
-        for name in here:
+        for name in (name for name, at in names.items() if at[0] == index):
             column, guess = table.columns[names[name][1]], guesses[name]
             own = rows[name]
             bad = np.flatnonzero(~np.isfinite(column.values) & own)
@@ -144,17 +128,14 @@ def _overview(
             odd = [item._asdict() | {"where": _where(table, item.first)} for item in seen]
             text += "".join(message("app.odd_samples", **fields) for fields in odd)
             columns.append((name, text, _guess_text(guess)))
-            lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
-            for fields in odd:
-                note = message(f"app.odd_{fields['kind']}", **fields)
-                lines.append(f"    {note}")
+            notes = (message(f"app.odd_{fields['kind']}", **fields) for fields in odd)
+            lines += [f"{name}: {note}" for note in notes]
         for name, cells in table.words.items():
             row = next((row for row, cell in enumerate(cells) if cell), 0)
             fields = {"cell": remark(cells[row] if cells else ""), "where": _where(table, row)}
             text = message("app.no_numbers" if any(cells) else "app.no_number_held", **fields)
             guess = Guess() if name in names else guesses.get(name, Guess())
             columns.append((name, text, _guess_text(guess)))
-            lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
     return [*lines, *source.losses], columns
 
 
@@ -201,19 +182,19 @@ def _span(
 def _tried(
     path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None, readings: bool
 ) -> list[str]:
-    """Whether the draft takes the file as it stands, and what to do next."""
-    lines, step = [], message("app.next_look", map=out, name=out.name)
+    """Whether the draft takes the file as it stands."""
+    lines = []
     if readings:
         try:
             data = read_flowmeter(path, load_columns(out))
         except EhbenchError as error:
             return [message("app.not_yet", error=error)]
         each = (f"{len(data.select(*group))} of {' '.join(group)}" for group in data.groups())
-        return [message("app.readings_taken", groups=", ".join(each)), step]
+        return [message("app.readings_taken", groups=", ".join(each))]
     if rig is None and any(CYLINDER in guess.channel for guess in guesses.values()):
         lines.append(message("app.no_rig_given", cylinder=CYLINDER, valve=VALVE))
     if not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
-        return [*lines, message("app.next_say", map=out)]
+        return lines
     try:
         record = read(path, out)
     except EhbenchError as error:
@@ -226,4 +207,4 @@ def _tried(
     lines.append(message("app.taken_in_part" if undecided else "app.taken", **fields))
     lines += [f"  {note}" for note in record.losses]
     lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
-    return [*lines, step]
+    return lines
