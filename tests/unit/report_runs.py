@@ -330,13 +330,15 @@ def trials_run(
     **more,
 ) -> Path:
     folder, rows = made(root, name), []
-    (folder / "logs").mkdir()
+    for inside in ("logs", "ledgers"):
+        (folder / inside).mkdir()
     for payload, law in ((payload, law) for payload in payloads for law in controllers):
         result, stem = controllers[law], slug(f"{payload} {law}", "_")
         path = f"logs/{stem}.mcap"
         log(folder / path, gain=result["tracking"]["max_error"] / 1e-3, **more)
         row = {"case": f"{payload} 70 % {law}", "payload": payload, "controller": law, "on": on}
         rows.append(table("trial_row", log=path, **row) | result)
+        write_json(folder / "ledgers" / f"{stem}.json", ledger(result["energy"]["pump"]))
     write_json(folder / "table.json", {"rows": rows})
     facts(folder, "trials", what="trials", title="Steps", on=on, stopped="", warnings=[])
     return folder
@@ -387,9 +389,5 @@ def fill_control(root: Path) -> None:
         trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True),
         trial_run(root),
     ]
-    (folders[2] / "ledgers").mkdir()
-    for row in json.loads((folders[2] / "table.json").read_text())["rows"]:
-        file = folders[2] / "ledgers" / f"{Path(row['log']).stem}.json"
-        write_json(file, ledger(row["energy"]["pump"]))
     for folder in folders:
         draw(folder)

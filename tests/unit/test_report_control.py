@@ -106,7 +106,12 @@ def test_keys_are_the_stable_ones(runs):
     names = ("open_loop", "pressure_feedback")
     assert list(steps) == [
         *("compare_no_load_70", "compare_50_lb_70", "energy_70"),
-        *(f"trial_{load}_{name}" for load in ("none", "50_lb") for name in names),
+        *(
+            f"{kind}_{load}_{name}"
+            for load in ("none", "50_lb")
+            for name in names
+            for kind in ("trial", "sankey")
+        ),
     ]
     assert {"sankey_50_lb_arc", "estimates_50_lb_four_way", "energy_70"} <= set(cycles)
     assert list(arc) == ["trial_boom", "estimates_boom", "load"]
@@ -450,7 +455,6 @@ def cycles(root: Path, **made_of: dict) -> tuple:
     """(rig, cases) of a set with a ledger a controller, none of them drawn."""
     made = dict.fromkeys(made_of, measures(2000.0, 1e-4, []))
     folder = trials_run(root, "energies", made, payloads=["none"])
-    (folder / "ledgers").mkdir()
     for row in json.loads((folder / "table.json").read_text())["rows"]:
         file = folder / "ledgers" / f"{Path(row['log']).stem}.json"
         write_json(file, made_of[row["controller"]])

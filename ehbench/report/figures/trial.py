@@ -495,22 +495,6 @@ def trajectories(path: Path, rig: Rig, motions: Sequence[Named]) -> None:
         legend(figure, [key(words(name), color=colour) for (name, *_), colour in named])
 
 
-def pump_energies(path: Path, rig: Rig, cases: Sequence[Case], names: Sequence[str]) -> None:
-    """A bar a trial: what it took from the pump."""
-    values = [shown(rig, "energy", case.row["energy"]["pump"]) for case in cases]
-    controllers = list(dict.fromkeys(case.row["controller"] for case in cases))
-    with canvas(path, size=(7.4, 0.3 * len(cases) + 0.9)) as (_, ax):
-        colours = [CYCLE[controllers.index(case.row["controller"]) % len(CYCLE)] for case in cases]
-        ax.barh(range(len(cases)), values, height=0.66, color=colours, zorder=2)
-        for place, value in enumerate(values):
-            tag(ax, number(value, 4), max(value, 0.0), place, (4, 0), va="center")
-        ax.set_yticks(range(len(cases)), [words(name) for name in names])
-        ax.set_ylim(len(cases) - 0.4, -0.6)
-        ax.set_xlim(min(0.0, *values), 1.12 * max(*values, 1e-12))
-        ax.grid(False, axis="y")
-        ax.set_xlabel(axis(rig, "energy", "energy from the pump"))
-
-
 def energy_map(
     path: Path,
     panels: Sequence[tuple[str, np.ndarray]],

@@ -57,11 +57,8 @@ def draw(run: Saved, index: FigureIndex) -> None:
         key, caption = f"energy_{slug(motion, '_')}", captions.energy_caption(rig, of_motion)
         path = index.add(key, title, caption, "energy", motion=motion)
         ledgers = [ledger for case in of_motion if (ledger := case.energy()) is not None]
-        if len(ledgers) == len(of_motion):
-            limits = [[b for b in led.get("bounds", []) if b["closed"]] for led in ledgers]
-            bars(path, list(zip(named, ledgers, strict=True)), limits)
-        else:
-            figures.pump_energies(path, rig, of_motion, named)
+        limits = [[b for b in led.get("bounds", []) if b["closed"]] for led in ledgers]
+        bars(path, list(zip(named, ledgers, strict=True)), limits)
     _draw_map(rig, index, cases)
     for case in cases:
         name = case.row["case"]
