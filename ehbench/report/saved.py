@@ -250,4 +250,5 @@ def read_points(path: Path) -> np.recarray:
         elif row := VOCABULARY.get("flow" if name == "fitted" else name):
             values = table.floats([place])[:, 0]
             values_of[name] = to_si(values, unit, row) if unit else values
-    return np.rec.fromarrays([*values_of.values()], names=",".join(values_of))
+    # pyrefly: ignore[no-matching-overload]
+    return np.rec.fromarrays([*values_of.values()], names=[*values_of])

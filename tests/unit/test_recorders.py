@@ -57,7 +57,7 @@ def test_each_column_is_listed_and_what_is_undecided_is_a_remark(style, tmp_path
     text = "\n".join(made.notes)
     drafted = load_columns(made.place).columns.names
     for name in recording.truth:
-        line = " ".join(next(row for row in made.tables[0].rows if row[0] == name))
+        line = " ".join(map(str, next(row for row in made.tables[0].rows if row[0] == name)))
         assert any(word in line for word in ("certain", "likely", "undecided"))
         assert (name in drafted) == ("undecided" not in line)
     drafted_as = dialect_of(load_columns(made.place))
@@ -74,7 +74,7 @@ def test_columns_without_numbers_are_listed_with_their_first_cell(tmp_path):
     (tmp_path / "a.csv").write_text("t [s],p rod [bar],state,version\n" + rows)
     (table,) = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml", None).tables
     for name, cell, line in (("state", "'RUN'", "line 3"), ("version", "'1.2.3'", "line 2")):
-        found = " ".join(next(row for row in table.rows if row[0] == name))
+        found = " ".join(map(str, next(row for row in table.rows if row[0] == name)))
         assert cell in found and line in found and "undecided" in found
 
 

@@ -183,7 +183,7 @@ def _tried(
     path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None, readings: bool
 ) -> list[str]:
     """Whether the draft takes the file as it stands."""
-    lines = []
+    lines: list[str] = []
     if readings:
         try:
             data = read_flowmeter(path, load_columns(out))
