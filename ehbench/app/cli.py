@@ -354,10 +354,10 @@ def reproduce(says: Says, campaign: str, out: Path | None, allow_code: bool) -> 
 def compare_runs(_: Says, first: Path, second: Path) -> tuple[Answer, int]:
     """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals; exit
     3 where a run or what it was made from has changed."""
-    from ehbench.report import compare
+    from ehbench.report.compare import compare
 
-    result = compare.compare(first, second)
-    return compare.answer(result, first), 3 if result.changes else 0
+    answer = compare(first, second)
+    return answer, 3 if answer.values["changes"] else 0
 
 
 @_command(

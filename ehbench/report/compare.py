@@ -2,11 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
@@ -20,63 +20,14 @@ from ehbench.vocabulary import Z95, InputError, message
 _RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
 
 
-@dataclass(frozen=True)
-class InputChange:
-    """An input that differs: ``what`` it is, and as it was in either run (empty: not there)."""
-
-    what: str
-    first: str
-    second: str
-
-
 Ends = tuple[float, float]
+Change = dict[str, str]  # what differs, and how it was in the ``first`` and the ``second`` run
 
 
-@dataclass(frozen=True)
-class Shift:
-    """A parameter [SI] in two runs, with its 95 % interval in either."""
-
-    name: str
-    first: float | None
-    first_interval: Ends | None
-    second: float | None
-    second_interval: Ends | None
-
-    @property
-    def intervals(self) -> float | None:
-        """Their distance by √(a² + b²) of the facing half intervals; None without any."""
-        a, b = self.first, self.second
-        known = [ends for ends in (self.first_interval, self.second_interval) if ends]
-        if a is None or b is None or not known:
-            return None
-        upper = b > a
-        towards = [] if self.first_interval is None else [abs(self.first_interval[upper] - a)]
-        if self.second_interval is not None:
-            towards.append(abs(b - self.second_interval[not upper]))
-        whole = math.hypot(*towards)
-        return 0.0 if a == b else abs(b - a) / whole if whole > 0.0 else None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What differs; ``same`` counts equal parameters, ``changes`` is what supports no more."""
-
-    stage: str
-    verdicts: tuple[str, str]
-    inputs: tuple[InputChange, ...]
-    parameters: tuple[Shift, ...]
-    same: int
-    numbers: tuple[InputChange, ...]
-    changes: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        shifts = [asdict(item) | {"intervals": item.intervals} for item in self.parameters]
-        return asdict(self) | {"parameters": shifts}
-
-
-def compare(first: Path, second: Path) -> Comparison:
-    """What differs between two runs.
+def compare(first: Path, second: Path) -> Answer:
+    """What differs between two runs, in the units of the first one's rig: parameters first, then
+    other numbers, inputs. As values [SI] the same, how many parameters are the ``same``, and the
+    ``changes`` by which a run is supported no more.
 
     Raises:
         InputError: no run, or runs of different kinds."""
@@ -89,25 +40,60 @@ def compare(first: Path, second: Path) -> Comparison:
         }
         raise InputError(message("report.other_kind", **kinds), file=second)
     known, known_after = _parameters(item), _parameters(other)
-    shifts = [
-        Shift(name, *known.get(name, (None, None)), *known_after.get(name, (None, None)))
-        for name in dict.fromkeys([*known, *known_after])
-    ]
-    changed = [shift for shift in shifts if shift.first != shift.second]
-    changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
+    names = dict.fromkeys([*known, *known_after])
+    shifts: list[dict[str, Any]] = []
+    for name in names:
+        pairs = known.get(name, (None, None)), known_after.get(name, (None, None))
+        (a, ends), (b, ends_after) = pairs
+        if a != b:
+            row = {"name": name, "first": a, "first_interval": ends, "second": b}
+            row |= {"second_interval": ends_after, "intervals": intervals_between(*pairs)}
+            shifts.append(row)
+    shifts.sort(key=lambda row: -(math.inf if row["intervals"] is None else row["intervals"]))
     numbered = item.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
-    heads = [
+    heads = (
         {n.label: n.value for n in chapter.findings.numbers if numbered} for chapter in chapters
-    ]
-    return Comparison(
-        item.what or item.stage,
-        (chapters[0].content.status, chapters[1].content.status),
-        tuple(_changes(_inputs(item), _inputs(other))),
-        tuple(changed),
-        len(shifts) - len(changed),
-        tuple(_changes(*heads)),
-        tuple(dict.fromkeys([*unsupported(first), *unsupported(second)])),
     )
+    values = {
+        "stage": item.what or item.stage,
+        "verdicts": [chapter.content.status for chapter in chapters],
+        "inputs": list(_changes(_inputs(item), _inputs(other))),
+        "parameters": shifts,
+        "same": len(names) - len(shifts),
+        "numbers": list(_changes(*heads)),
+        "changes": list(dict.fromkeys([*unsupported(first), *unsupported(second)])),
+    }
+    tables = [
+        _shift_table(item.rig if item.has_rig else None, shifts),
+        _change_table("number", values["numbers"]),
+        _change_table("input", values["inputs"]),
+    ]
+    before, after = map(words, values["verdicts"])
+    fields = {"verdict": before if before == after else f"{before} → {after}"}
+    fields |= {"stage": words(values["stage"]), "inputs": len(values["inputs"])}
+    key = "report.compared_changed" if values["changes"] else "report.compared"
+    return Answer(
+        message(key, **fields, same=values["same"], changed=len(shifts)),
+        [table for table in tables if table.rows],
+        notes=[message("report.unsupported", change=change) for change in values["changes"]],
+        values=values,
+    )
+
+
+def intervals_between(
+    first: tuple[float | None, Ends | None], second: tuple[float | None, Ends | None]
+) -> float | None:
+    """The distance of two numbers, each with its 95 % interval, by √(a² + b²) of the facing half
+    intervals; None without any."""
+    (a, ends), (b, ends_after) = first, second
+    if a is None or b is None or not (ends or ends_after):
+        return None
+    upper = b > a
+    towards = [] if ends is None else [abs(ends[upper] - a)]
+    if ends_after is not None:
+        towards.append(abs(b - ends_after[not upper]))
+    whole = math.hypot(*towards)
+    return 0.0 if a == b else abs(b - a) / whole if whole > 0.0 else None
 
 
 def _inputs(run: Saved) -> dict[str, str]:
@@ -122,10 +108,10 @@ def _inputs(run: Saved) -> dict[str, str]:
     return known | {f"seed of {k}": str(v) for k, v in facts.get("seeds", {}).items()}
 
 
-def _changes(first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[InputChange]:
+def _changes(first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[Change]:
     for what in dict.fromkeys([*first, *second]):
         if first.get(what) != second.get(what):
-            yield InputChange(what, first.get(what, ""), second.get(what, ""))
+            yield {"what": what, "first": first.get(what, ""), "second": second.get(what, "")}
 
 
 def _parameters(run: Saved) -> dict[str, tuple[float | None, Ends | None]]:
@@ -156,38 +142,22 @@ def _interval(interval: Any) -> Ends | None:
     return (interval[0], interval[1]) if interval and None not in interval else None
 
 
-def answer(result: Comparison, first: Path) -> Answer:
-    """What differs, in the units of a run's rig: parameters first, then other numbers, inputs."""
-    rig = run.rig if (run := Saved(first)).has_rig else None
-    head = ["parameter", "first", "second", "unit", "intervals apart"]
-    inputs, numbers = (
-        [[item.what, _abbreviated(item.first), _abbreviated(item.second)] for item in items]
-        for items in (result.inputs, result.numbers)
-    )
+def _shift_table(rig: Rig | None, shifts: Sequence[Mapping[str, Any]]) -> Grid:
+    """A row a parameter; in SI the numbers alone."""
     rows = []
-    for item in result.parameters:
-        pairs = ((item.first, item.first_interval), (item.second, item.second_interval))
-        known = [[value, *(ends or (None, None))] for value, ends in pairs]
-        texts, unit = [number(value) for value, _ in pairs], ""  # in SI the numbers alone
+    for row in shifts:
+        name, texts, unit = row["name"], [number(row[key]) for key in ("first", "second")], ""
         if rig is not None:
-            texts = [with_interval(*(shown(rig, item.name, x) for x in some)) for some in known]
-            unit = pretty(unit_of(rig, item.name))
-        rows.append([item.name, *map(num, texts), unit, num(number(item.intervals, 2))])
-    tables = [
-        Grid(head, rows),
-        Grid(["number", "first", "second"], numbers),
-        Grid(["input", "first", "second"], inputs),
-    ]
-    before, after = (words(status) for status in result.verdicts)
-    fields = {"stage": words(result.stage), "inputs": len(inputs), "same": result.same}
-    verdict = before if before == after else f"{before} → {after}"
-    key = "report.compared_changed" if result.changes else "report.compared"
-    return Answer(
-        message(key, verdict=verdict, **fields, changed=len(result.parameters)),
-        [table for table in tables if table.rows],
-        notes=[message("report.unsupported", change=change) for change in result.changes],
-        values=result.as_json(),
-    )
+            known = [(row[k], *(row[f"{k}_interval"] or (None, None))) for k in ("first", "second")]
+            texts = [with_interval(*(shown(rig, name, x) for x in some)) for some in known]
+            unit = pretty(unit_of(rig, name))
+        rows.append([name, *map(num, texts), unit, num(number(row["intervals"], 2))])
+    return Grid(["parameter", "first", "second", "unit", "intervals apart"], rows)
+
+
+def _change_table(what: str, changes: Sequence[Change]) -> Grid:
+    rows = [[row["what"], *(_abbreviated(row[k]) for k in ("first", "second"))] for row in changes]
+    return Grid([what, "first", "second"], rows)
 
 
 def _abbreviated(text: str) -> str:

@@ -14,8 +14,8 @@ from ehbench.vocabulary import Message, message, plural
 Pictures = Callable[..., list[Picture]]  # the run's figures that show something
 # how status words look as a chip; all others are plain
 _LOOKS = {
-    "good": ("accepted", "met", "estimated", "passed", "done"),
-    "bad": ("rejected", "missed", "failed", "stopped"),
+    "good": ("accepted", "met", "estimated", "checks passed", "passed", "done"),
+    "bad": ("rejected", "missed", "checks failed", "failed", "stopped"),
     "warn": (
         *("undecided", "not_measured", "accepted_with_reservation", "estimated, doubtful"),
         *("at_bound", "not_excited", "correlated", "fitted", "still", "partly_estimated"),

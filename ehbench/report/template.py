@@ -54,7 +54,6 @@ _FILTERS: dict[str, Any] = {
     "digits": num,
     "name": lambda text: Cell(text, "name"),
     "times": _scaled,
-    "meaning": lambda name: words.row_of(name).meaning,
 }
 _RIG_FILTERS: dict[str, Any] = {
     "measure": lambda rig, value, name, digits=3: words.measure(rig, name, value, digits),

@@ -14,7 +14,7 @@ from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.physics.flow_map import collect, save_flow_maps
 from ehbench.report import build, draw, style
 from ehbench.report.blocks import Grid, inline, prose
-from ehbench.report.compare import Shift, answer, compare
+from ehbench.report.compare import compare, intervals_between
 from ehbench.report.saved import FigureIndex, Saved, Table, read_points, read_series
 from ehbench.report.stages import hydraulics
 from ehbench.report.stages import study as studies
@@ -439,19 +439,18 @@ def pair(tmp_path):
 
 
 def test_what_differs_is_told_and_by_how_many_intervals(pair):
-    found = compare(*pair)
-    assert [(one.what, one.second) for one in found.inputs] == [("data readings.csv", "9" * 64)]
-    (one,) = found.parameters
-    assert one.name == "bulk_modulus" and found.same == 2
+    answer = compare(*pair)
+    (changed,), (one,) = answer.values["inputs"], answer.values["parameters"]
+    assert changed["what"] == "data readings.csv" and changed["second"] == "9" * 64
+    assert one["name"] == "bulk_modulus" and answer.values["same"] == 2
     # the halves that point to one another: 4.8 MPa up from the first, 3 MPa down from the second
-    assert one.intervals == pytest.approx(18.7 / math.hypot(4.8, 3.0))
-    told = "\n".join(answer(found, pair[0]).lines(200, whole=True))
+    assert one["intervals"] == pytest.approx(18.7 / math.hypot(4.8, 3.0))
+    told = "\n".join(answer.lines(200, whole=True))
     assert "271.3 ± 4.8" in told and "290.0 ± 3.0" in told
     assert re.search(r"bulk_modulus .* MPa .* 3\.3\b", told)
     assert "99999999" in told and "MPa" in told
     found = compare(pair[0], pair[0])
-    assert not found.inputs and not found.parameters and not found.numbers and found.same == 3
-    assert answer(found, pair[0]).verdict.fields["inputs"] == 0
+    assert not found.tables and found.values["same"] == 3 and found.verdict.fields["inputs"] == 0
 
 
 def test_what_cannot_be_compared_is_named(pair, tmp_path, monkeypatch):
@@ -476,7 +475,7 @@ def test_what_cannot_be_compared_is_named(pair, tmp_path, monkeypatch):
     ],
 )
 def test_distance_in_intervals(first, second, apart):
-    found = Shift("x", *first, *second).intervals
+    found = intervals_between(first, second)
     assert found == (apart if apart is None else pytest.approx(apart))
 
 

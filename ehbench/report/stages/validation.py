@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.report import content
-from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
+from ehbench.report.blocks import Block, Bullets, Fold, Part, Text
 from ehbench.report.comparisons import draw_comparisons, draw_responses
 from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
@@ -116,21 +116,7 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
         blocks.append(Bullets(left, "warn"))
     if unjudged := silence(table):
         blocks.append(Text(unjudged, "note"))
-    chips = {
-        log["name"]: Cell("shown only", content.look_of("shown only")) for log in table["logs"]
-    }
-    for log in held_out(table):  # a model is rejected by more than its thresholds
-        chips[log["name"]] = (
-            Cell("checks passed", content.look_of("passed"))
-            if log.get("passed")
-            else Cell("checks failed", "bad")
-        )
-    chips |= {
-        n["name"]: Cell("failed", content.look_of("failed"))
-        for n in table["logs"]
-        if n.get("failure")
-    }
-    blocks.append(page.table("logs", table["logs"], results=chips))
+    blocks.append(page.table("logs", table["logs"], result=_result))
     channels = [(log, item) for log in table["logs"] for item in log.get("channels", [])]
     channels = [row for row in channels if row[1].get("baseline_percent") is not None]
     if channels:
@@ -140,6 +126,15 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
         title = page.text("checks", checks=checks)
         blocks.append(Fold(title, [page.table("check_table", checks)]))
     return blocks
+
+
+def _result(log: Table) -> str:
+    """How a log counts; a model is rejected by more than its thresholds."""
+    if log.get("failure"):
+        return "failed"
+    if log["status"] != "held_out":
+        return "shown only"
+    return "checks passed" if log.get("passed") else "checks failed"
 
 
 def others_rows(table: Table) -> list[dict[str, Any]]:
