@@ -391,17 +391,15 @@ def next_test(
 def why(says: Says, name: str, runs: list[Path]) -> None:
     """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
     rig line; exit 3 where these have changed."""
-    from ehbench.report.terminal import Answer
     from ehbench.report.why import origin
     from ehbench.runs import rundir
 
     run = max(runs, key=rundir.started)
-    result = origin(name, run)
-    said, values = result.headline, result.as_json()
+    answer = origin(name, run)
     if len(runs) > 1:
-        said = message("report.of_newest", number=said, run=run, count=len(runs))
-    answer, code = Answer(said, [result.table()], values=values), 3 if result.changes else 0
-    _say(answer, says, code, wide=True)
+        said = message("report.of_newest", number=answer.verdict, run=run, count=len(runs))
+        answer = replace(answer, verdict=said)
+    _say(answer, says, 3 if answer.values["changes"] else 0, wide=True)
 
 
 @_command(

@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
@@ -15,6 +15,7 @@ from ehbench.config.recipe.toml import line_of, read_toml
 from ehbench.report.blocks import Grid
 from ehbench.report.provenance import Source, TracedRun
 from ehbench.report.saved import Saved
+from ehbench.report.terminal import Answer
 from ehbench.report.words import estimate, interval, number, pretty, row_of, shown, unit_of, words
 from ehbench.runs.rundir import SHIPPED, read_json
 from ehbench.vocabulary import VOCABULARY, EhbenchError, InputError, Message, message
@@ -134,65 +135,20 @@ class TextLine:
     source: str = ""
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Where a number comes from; ``changes``: what no longer supports it."""
-
-    run: str
-    result: NamedResult
-    shown: str
-    method: tuple[str, ...]
-    windows: tuple[str, ...]
-    sources: tuple[Source, ...]
-    recipe: TextLine | None
-    rig: TextLine | None
-    changes: tuple[Message, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values for scripts, numbers in SI."""
-        number = {key: item for key, item in vars(self.result).items() if key != "path"}
-        return {
-            "run": self.run,
-            "name": self.result.path,
-            **number,
-            "method": self.method,
-            "windows": self.windows,
-            "inputs": [source.as_json() for source in self.sources],
-            "recipe": self.recipe and vars(self.recipe),
-            "rig": self.rig and vars(self.rig),
-            "changes": self.changes,
-        }
-
-    @property
-    def headline(self) -> Message:
-        """The number, and whether it is still supported."""
-        key = "report.not_supported" if self.changes else "report.number"
-        return message(key, name=self.result.path, value=self.shown)
-
-    def table(self) -> Grid:
-        """A row for each thing it comes from."""
-        rows = [["file", f"{self.run}/{self.result.file}"]]
-        rows += [["method", text] for text in self.method]
-        rows += [["window", text] for text in self.windows]
-        rows += [[item.role, f"{item.name}  SHA-256 {item.sha256}"] for item in self.sources]
-        for name, line in (("recipe line", self.recipe), ("rig line", self.rig)):
-            if line is not None:
-                rows.append([name, f"{line.file}:{line.line}: {line.text}"])
-        if self.rig is not None and self.rig.source:
-            rows.append(["source", self.rig.source])
-        rows += [["changed", text] for text in self.changes]
-        return Grid(["from", "what"], rows)
-
-
-def origin(name: str, folder: Path) -> Origin:
+def origin(name: str, folder: Path, changes: Sequence[Message] | None = None) -> Answer:
     """Where the number ``name`` of a run comes from; of a report, that of its run that has it; of a
-    run that carries the parameters of its rig, the fit that they are from.
+    run that carries the parameters of its rig, the fit that they are from. For scripts in SI.
+
+    Args:
+        name: of the number, as for `named_result`.
+        folder: of the run.
+        changes: what no longer supports it; by default what does not now.
 
     Raises:
         InputError: no run, no number of that name, or several."""
-    traced, changes = TracedRun(folder), []
+    traced, above = TracedRun(folder), list[Message]()
     if traced.run.stage == "report":
-        changes, report = traced.changes(), traced
+        above, report = traced.changes(), traced
         errors: list[EhbenchError] = []
         places = [item.place or report.folder.parent / item.name for item in report.sources]
         for place, carried in [(p, False) for p in places] + [(p, True) for p in places]:
@@ -208,6 +164,8 @@ def origin(name: str, folder: Path) -> Origin:
             raise next(several, (errors or [none])[0])
     else:
         result = _result(traced, name, True)
+    if changes is None:
+        changes = list(dict.fromkeys([*above, *traced.changes()]))
     rig = next((source for source in traced.sources if source.role == "rig"), None)
     before, files = None, ("rig.toml", "parameters.json")
     if rig and result.file in (files if traced.run.stage != "identify" else files[:1]):
@@ -216,23 +174,43 @@ def origin(name: str, folder: Path) -> Origin:
         elif result.about.get("status") == "identified":
             before = traced.fit_beside(rig, result.path, result.value)
     if before is not None:
-        fitted = origin(result.path, before)
-        return replace(fitted, changes=tuple(dict.fromkeys([*changes, *traced.changes()])))
+        return origin(result.path, before, changes)
+    return _answer(traced, result, rig, changes)
+
+
+def _answer(
+    traced: TracedRun, result: NamedResult, rig: Source | None, changes: Sequence[Message]
+) -> Answer:
+    """A row for each thing that a number comes from."""
     method, windows = _method(traced.run, result), tuple(_windows(traced.recipe))
     if result.file == "rig.toml":
         key = "no_fit" if result.about["status"] == "identified" else "from_rig"
         method, windows = (message(f"report.{key}", folder=traced.folder.parent),), ()
-    return Origin(
-        run=str(traced.folder),
-        result=result,
-        shown=_value_text(traced.run, result),
-        method=method,
-        windows=windows,
-        sources=tuple(traced.sources),
-        recipe=_recipe_line(traced.recipe, result),
-        rig=_rig_line(rig, result),
-        changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
-    )
+    recipe, line = _recipe_line(traced.recipe, result), _rig_line(rig, result)
+    rows = [["file", f"{traced.folder}/{result.file}"]]
+    rows += [["method", text] for text in method]
+    rows += [["window", text] for text in windows]
+    rows += [[item.role, f"{item.name}  SHA-256 {item.sha256}"] for item in traced.sources]
+    for name, item in (("recipe line", recipe), ("rig line", line)):
+        if item is not None:
+            rows.append([name, f"{item.file}:{item.line}: {item.text}"])
+    if line is not None and line.source:
+        rows.append(["source", line.source])
+    rows += [["changed", text] for text in changes]
+    values = {
+        "run": str(traced.folder),
+        "name": result.path,
+        **{key: item for key, item in vars(result).items() if key != "path"},
+        "method": method,
+        "windows": windows,
+        "inputs": [source.as_json() for source in traced.sources],
+        "recipe": recipe and vars(recipe),
+        "rig": line and vars(line),
+        "changes": changes,
+    }
+    key = "report.not_supported" if changes else "report.number"
+    verdict = message(key, name=result.path, value=_value_text(traced.run, result))
+    return Answer(verdict, [Grid(["from", "what"], rows)], values=values)
 
 
 def _result(traced: TracedRun, name: str, carried: bool) -> NamedResult:
