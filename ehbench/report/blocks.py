@@ -7,7 +7,7 @@ import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeAlias
+from typing import TypeAlias
 from xml.etree import ElementTree
 
 from ehbench.report.svg import sound
@@ -27,7 +27,6 @@ class Cell:
 class Text:
     """A paragraph; ``look`` may be ``lead``, ``head``, ``note``, ``warn``, ``good`` or ``bad``."""
 
-    kind: ClassVar[str] = "text"
     text: str
     look: str = ""
 
@@ -36,7 +35,6 @@ class Text:
 class Bullets:
     """A list; ``look`` as in `Text`."""
 
-    kind: ClassVar[str] = "bullets"
     items: Sequence[str]
     look: str = ""
 
@@ -46,7 +44,6 @@ class Grid:
     """A table: head, rows of `Cell` or text, a caption above; ``key`` is what a campaign names it
     by, ``title`` what it calls it; ``look`` may be ``stack``: rows become blocks on a phone."""
 
-    kind: ClassVar[str] = "grid"
     head: Sequence[str]
     rows: Sequence[Sequence[Cell | str]]
     caption: str = ""
@@ -69,7 +66,6 @@ class Card:
 class Cards:
     """Numbers side by side."""
 
-    kind: ClassVar[str] = "cards"
     cards: Sequence[Card]
 
 
@@ -77,7 +73,6 @@ class Cards:
 class Heat:
     """A small square matrix of correlations from −1 to 1 with its row and column names."""
 
-    kind: ClassVar[str] = "heat"
     names: Sequence[str]
     values: Sequence[Sequence[float | None]]
     limit: float = 0.95
@@ -88,7 +83,6 @@ class Picture:
     """A figure: inline SVG with its title and caption. ``named``: the place of its title in the
     campaign's list, None where the campaign has none; ``paper``: shown in print."""
 
-    kind: ClassVar[str] = "picture"
     svg: str
     title: str
     caption: str = ""
@@ -101,7 +95,6 @@ class Picture:
 class Fold:
     """Pieces that open on a click."""
 
-    kind: ClassVar[str] = "fold"
     title: str
     inside: Sequence[Block]
 
@@ -113,7 +106,6 @@ Block: TypeAlias = Text | Bullets | Cards | Grid | Heat | Picture | Fold
 class Part:
     """A headed part of a section; ``paper``: shown in print."""
 
-    kind: ClassVar[str] = "part"
     title: str
     inside: Sequence[Block]
     id: str = ""

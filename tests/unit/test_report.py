@@ -415,10 +415,10 @@ def test_only_styles_of_elements_become_rules_of_the_page(inside):
 
 def test_prose_makes_paragraphs_and_lists():
     kinds = [
-        (one.kind, getattr(one, "text", None) or list(one.items))
+        (type(one).__name__, getattr(one, "text", None) or list(one.items))
         for one in prose("One\ntwo.\n\nBefore:\n- a\n  b\n- c")
     ]
-    assert kinds == [("text", "One two."), ("text", "Before:"), ("bullets", ["a b", "c"])]
+    assert kinds == [("Text", "One two."), ("Text", "Before:"), ("Bullets", ["a b", "c"])]
 
 
 # --- what differs between two runs
