@@ -40,6 +40,7 @@ _FILTERS: dict[str, Any] = {
     "words": words.words,
     "interval": lambda ends: words.interval(*(ends or (None, None))),
     "pretty": words.pretty,
+    "within": lambda value, std: words.with_error(value, Z95 * std),
     "estimate": lambda value, ends: words.estimate(value, *ends),
     "title": words.title_of,
     "percent": words.percent,

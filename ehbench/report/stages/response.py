@@ -3,7 +3,6 @@
 import math
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionC
 from ehbench.report.saved import FigureIndex, Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
-from ehbench.report.words import capital, number, pretty, shown, unit_of, with_error
-from ehbench.vocabulary import Z95, message
+from ehbench.report.words import capital, number, pretty, shown, unit_of
+from ehbench.vocabulary import message
 
 # key of response.json, what it is called, its unit there and on the page, the factor between them
 NUMBERS = (
@@ -95,24 +94,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         ["coherent frequencies", page.text("coherent", table=table)],
         ["coherence of noise alone", page.text("noise", table=table)],
     ]
-    # each with half its 95 % interval
-    forms: list[dict[str, Any]] = [
-        {
-            "form": form,
-            "poles": ", ".join(
-                with_error(pole, Z95 * std)
-                for pole, std in zip(form["poles"], form["pole_stds"], strict=True)
-            ),
-            **{
-                name: form.get(name) and with_error(form[name], Z95 * form[f"{name}_std"])
-                for name in ("natural_frequency", "damping_ratio")
-            },
-            "delay": None
-            if form.get("delay") is None
-            else with_error(1e3 * form["delay"], 1e3 * Z95 * form["delay_std"]),
-        }
-        for form in table.get("transfers", [])
-    ]
+    forms = table.get("transfers", [])
     # forms were asked for, and a terminal shows one table: the sentence has the other's numbers
     tables = [page.table("forms", forms, logs=table["logs"])] if forms else []
     tables += [page.table("numbers", NUMBERS, table=table)]
@@ -123,7 +105,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     ]
     if warnings := table["warnings"]:
         parts.append(Part("Warnings", [Bullets(warnings, "warn")]))
-    form = next((item for item in forms if item["form"]["preferred"]), None)
+    form = next((item for item in forms if item["preferred"]), None)
     sentence = page.text("sentence", table=table, numbers=NUMBERS, form=form)
     return SectionContent("done", sentence, parts)
 
