@@ -91,7 +91,7 @@ def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
         EhbenchError: bad input, data that do not support the result, …; no run folder is left."""
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     session, stage = session or Session(), stages.stage_of(recipe)
-    if not isinstance(stage, Stage):
+    if not stage.command:
         raise InputError(message("stages.no_command", stage=recipe.stage_name), file=recipe.path)
     if session.out is not None:  # before runs are made that the recipe names
         rundir.checked_place(session.out)
@@ -242,8 +242,7 @@ def expect_stage(path: Path | str, *commands: str) -> Recipe:
     Raises:
         InputError: with the command that takes it."""
     recipe = load_recipe(path)
-    stage = stages.stage_of(recipe)
-    command = stage.command if isinstance(stage, Stage) else None
+    command = stages.stage_of(recipe).command
     if command not in commands:
         hint = f"run it with: ehbench {command} {path}" if command else None
         text = message("stages.other_stage", stage=recipe.stage_name)

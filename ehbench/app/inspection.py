@@ -21,7 +21,7 @@ from ehbench.report.content import written_step
 from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import impossible
 from ehbench.signals.oddities import oddities
-from ehbench.stages import Stage, stage_of
+from ehbench.stages import stage_of
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
@@ -67,10 +67,9 @@ class Inspection:
         """What the command says of a file: a row for each thing it holds, and how to run it."""
         steps = []
         if self.notes is not None and not self.errors and not self.notes.refused:
-            stage = stage_of(self.notes.recipe)
-            if isinstance(stage, Stage):
+            if command := stage_of(self.notes.recipe).command:
                 options = "".join(f" {option}" for option in sorted(self.notes.options))
-                fields = {"command": stage.command, "recipe": path, "options": options}
+                fields = {"command": command, "recipe": path, "options": options}
                 odd = [getattr(note, "fields", {}) for note in self.notes.remarks]
                 steps += ranked(written_step(each) for each in odd if "where" in each)[:2]
                 steps.append(message("steps.run_recipe", **fields))

@@ -186,20 +186,6 @@ R = TypeVar("R", bound=Recipe)
 P = TypeVar("P", bound=Prepared)
 
 
-class Checked(ABC, Generic[R]):
-    """A kind of recipe that can be checked; one that can be run is a `Stage`."""
-
-    @abstractmethod
-    def prepare(self, recipe: R, inputs: Inputs) -> Prepared:
-        """Take in what the recipe names and refuse what does not fit, without running anything.
-
-        A run and ``ehbench check`` both call it; notes go into ``inputs.notes``.
-
-        Raises:
-            EhbenchError: what the run would refuse before it begins.
-        """
-
-
 # by kind of recipe, in the order of the data: the module and class of its stage, which is imported
 # when such a recipe is at work
 STAGES: dict[tuple[str, str | None], str] = {
@@ -219,29 +205,37 @@ STAGES: dict[tuple[str, str | None], str] = {
 }
 
 
-def stage_of(recipe: Recipe | type[Recipe]) -> Checked[Any]:
+def stage_of(recipe: Recipe | type[Recipe]) -> Stage[Any, Any]:
     """The stage of a recipe."""
     module, _, name = STAGES[recipe.kind()].partition(".")
     return getattr(import_module(f"ehbench.stages.{module}"), name)()
 
 
-class Stage(Checked[R], Generic[R, P]):
-    """A stage: ``name`` as in the report, its ``command``, the files it ``writes``."""
+class Stage(ABC, Generic[R, P]):
+    """A stage: ``name`` as in the report, its ``command``, the files it ``writes``. What no command
+    runs can be checked."""
 
-    name: ClassVar[str]
-    command: ClassVar[str]
-    writes: ClassVar[str]
-
-    @abstractmethod
-    def prepare(self, recipe: R, inputs: Inputs) -> P: ...
+    name: ClassVar[str] = ""
+    command: ClassVar[str] = ""
+    writes: ClassVar[str] = ""
 
     @abstractmethod
+    def prepare(self, recipe: R, inputs: Inputs) -> P:
+        """Take in what the recipe names and refuse what does not fit, without running anything.
+
+        A run and ``ehbench check`` both call it; notes go into ``inputs.notes``.
+
+        Raises:
+            EhbenchError: what the run would refuse before it begins.
+        """
+
     def work(self, prepared: P, folder: Path, progress: Progress | None) -> Work:
         """Do the work and write its files into ``folder``.
 
         Raises:
             EhbenchError: the data do not support the result, numbers are not finite, …
         """
+        raise NotImplementedError
 
     def results(self, prepared: P) -> list[Any]:
         """Types of the results for `sampling.measures.refuse_unknown`; nothing if unknown."""

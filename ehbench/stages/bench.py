@@ -2,13 +2,13 @@
 
 from ehbench import trial
 from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
-from ehbench.stages.base import Checked, Prepared
+from ehbench.stages.base import Prepared, Stage
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary import message, plural
 from ehbench.vocabulary.fields import Value
 
 
-class BenchFile(Checked[BenchRecipe]):
+class BenchFile(Stage[BenchRecipe, Prepared]):
     """`BenchRecipe`."""
 
     def prepare(self, recipe: BenchRecipe, inputs: Inputs) -> Prepared:
@@ -19,7 +19,7 @@ class BenchFile(Checked[BenchRecipe]):
         return Prepared(recipe, None, message("stages.does_bench"))
 
 
-class Dataset(Checked[DatasetRecipe]):
+class Dataset(Stage[DatasetRecipe, Prepared]):
     """`DatasetRecipe`, which ``python -m tools.datasets`` records."""
 
     def prepare(self, recipe: DatasetRecipe, inputs: Inputs) -> Prepared:

@@ -9,9 +9,9 @@ from ehbench.report.provenance import unsupported
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import write_text
-from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, Work, stage_of
+from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, stage_of
 from ehbench.stages.inputs import Inputs
-from ehbench.vocabulary import InputError, Progress, message, plural
+from ehbench.vocabulary import InputError, message, plural
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
             with notes.collected():
                 files.append(inputs.existing(name))
                 item = load_recipe(files[-1])
-                if not isinstance(stage_of(item), Stage):
+                if not stage_of(item).command:
                     text = message("stages.not_in_campaign", name=name, stage=item.stage_name)
                     raise InputError(text, **recipe.at("recipes", index))
                 if inputs.check is None:
@@ -59,9 +59,6 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
             notes.add("undecided", message("stages.figures_of_runs"))
         does = message("stages.does_campaign", recipes=plural(len(recipe.recipes), "recipe"))
         return PreparedCampaign(recipe, None, does, tuple(files))
-
-    def work(self, prepared: PreparedCampaign, folder: Path, progress: Progress | None) -> Work:
-        raise NotImplementedError("a campaign's work is that of its recipes")
 
     def run(self, prepared: PreparedCampaign, host: Host) -> Outcome:
         recipe, progress, outcomes = prepared.recipe, host.progress_of(prepared.recipe.name), []

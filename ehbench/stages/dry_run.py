@@ -53,7 +53,7 @@ class DryRun:
             with notes.collected():
                 self.inputs(notes).try_files(entries)
         self._walk.pop()
-        if isinstance(stage, Stage):
+        if stage.command:
             notes.writes = f"{self._place(notes, prepared, stage)}: {stage.writes}"
         return notes
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any
 
 import tomli_w
 
@@ -15,7 +15,7 @@ from ehbench.report.provenance import TracedRun
 from ehbench.runtime.disk import write_text
 from ehbench.sampling.design import RECIPE, Design, label_of
 from ehbench.sampling.keys import Changes, changed_table
-from ehbench.stages.base import Host, Outcome, Stage, stage_of, write_rig
+from ehbench.stages.base import Host, Outcome, stage_of, write_rig
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import name_from, relocated
@@ -54,7 +54,7 @@ def _run(plan: Plan, path: Path, out: Path, runs: dict[Path, Path]) -> Outcome:
         return runs[upstream]
 
     recipe = load_recipe(path)
-    stage = cast(Stage, stage_of(recipe))  # a study is of such only
+    stage = stage_of(recipe)  # a study is of such only
     inputs = Inputs(recipe, Notes(recipe), run_of, allow_code=plan.allow_code, unvalidated=True)
     prepared = stage.prepare(recipe, inputs)
     outcome = stage.run(prepared, Host(root=out.parent, out=out))

@@ -31,7 +31,7 @@ from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import BENCH, Changes, changed_rig, changed_table, changes_of
 from ehbench.sampling.measures import lookup, of_channels, value_of
 from ehbench.sampling.sample import LATE, STATUS, Make, Sample
-from ehbench.stages.base import Stage, stage_of
+from ehbench.stages.base import stage_of
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.notes import Notes
 from ehbench.stages.relocation import relative
@@ -257,7 +257,7 @@ class Sampler:
         with TemporaryDirectory(dir=self.scratch) as folder:
             files = self.files(settings, Path(folder))
             recipe = files.base.changed(files.changes[""], files.folder)
-            stage = cast(Stage, stage_of(recipe))  # others are refused
+            stage = stage_of(recipe)  # others are refused
             prepared = stage.prepare(recipe, self.inputs(recipe, files))
             if isinstance(prepared, PreparedOne):  # of which nothing is written
                 result = trial.run(prepared.trial, progress=progress)
@@ -302,7 +302,7 @@ class Sampler:
             folder.mkdir()
             file = RecipeFile.of(path)
             recipe = file.changed(files.changes_of(file.model), folder)
-            stage = cast(Stage, stage_of(recipe))  # the study has run it
+            stage = stage_of(recipe)  # the study has run it
             out = folder / "run"
             out.mkdir()
             work = stage.work(stage.prepare(recipe, self.inputs(recipe, files)), out, None)

@@ -230,7 +230,7 @@ def _inner(path: Path, inputs: Inputs) -> tuple[base.Stage, base.Prepared]:
     """(stage, prepared) of a recipe that the study runs."""
     inner = load_recipe(path)
     stage = base.stage_of(inner)
-    if not isinstance(stage, base.Stage) or stage.name in ("campaign", "study"):
+    if not stage.command or stage.name in ("campaign", "study"):
         name = inputs.notes.name_of(path)
         text = message("stages.not_in_study", name=name, stage=inner.stage_name)
         raise InputError(text, **inputs.recipe.at("recipe"))

@@ -16,7 +16,7 @@ from ehbench.plant.model import Model
 from ehbench.report.stages import SECTIONS
 from ehbench.report.terminal import Answer
 from ehbench.stages import STAGES as KINDS
-from ehbench.stages import Stage, stage_of
+from ehbench.stages import stage_of
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.tuning import TuningStage
 from ehbench.vocabulary import InputError, message
@@ -25,7 +25,7 @@ from tests.shared import RIGS, ROOT, shipped
 from tools.virtual_logs import virtual_log
 
 EVERY = {kind: stage_of(model) for kind, model in recipe.recipe_kinds().items()}
-STAGES = [stage for stage in EVERY.values() if isinstance(stage, Stage)]
+STAGES = [stage for stage in EVERY.values() if stage.command]
 KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}
 
 
