@@ -21,7 +21,7 @@ from ehbench.config.recipe import Recipe, TrialRecipe, kind_of, load_recipe, loa
 from ehbench.runs import rundir
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Certificates, Workers
-from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
+from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome
 from ehbench.stages.campaign import write_report as report
 from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
