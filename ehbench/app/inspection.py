@@ -242,10 +242,9 @@ def abilities(model: Model, cylinder: int) -> Iterator[tuple[str, Quantity, floa
     """What the oil and the valves of a cylinder make of it at mid-stroke, as far as a controller
     could: (what, its quantity, value [SI])."""
     from ehbench.control.axis import hydraulic_frequency
-    from ehbench.control.functions import default_pressure
     from ehbench.plant.design_point import circuit_of, design_point_of
     from ehbench.trial.controllers import Design
-    from ehbench.trial.motion import full_speed
+    from ehbench.trial.motion import open_speed
 
     name, q = model.rig.cylinder[cylinder].name, model.posture({})
     with suppress(InputError):  # a pump moves it, or it has no lever there
@@ -253,10 +252,9 @@ def abilities(model: Model, cylinder: int) -> Iterator[tuple[str, Quantity, floa
         frequency = hydraulic_frequency(design_point_of(model, circuit, q, 1.0).axis)
         yield "natural frequency", quantity("natural_frequency"), frequency
         design = Design(model.rig, None, model, name, cylinder, q, circuit)
-        low = default_pressure(float(model.plant.supply.pressure))
         for way, what in ((1, "full speed out"), (-1, "full speed in")):
-            with suppress(InputError):  # no valve for it
-                yield what, quantity("speed"), full_speed(design, way, low)
+            if (speed := open_speed(design, way)) > 0.0:
+                yield what, quantity("speed"), speed
 
 
 def _map(path: Path) -> Inspection:

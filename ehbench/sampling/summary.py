@@ -115,7 +115,8 @@ class Summary:
         y = y[np.isfinite(y)]
         about = {"name": column.name, "unit": column.unit, "samples": int(y.size)}
         if y.size:
-            about |= {"mean": y.mean(), "std": y.std(ddof=1) if y.size > 1 else None}
+            off = y - y[0]  # the spread of equal numbers is none, not their rounding
+            about |= {"mean": y[0] + off.mean(), "std": off.std(ddof=1) if y.size > 1 else None}
             about |= {"minimum": y.min(), "maximum": y.max()}
             about["quantiles"] = [
                 statistics.quantile(y, share, self._alike)._asdict()

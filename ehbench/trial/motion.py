@@ -143,16 +143,8 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
 
     Raises:
         InputError: the valves have no function for it."""
-    circuit, model = design.circuit, design.model
-    line, p_tank = model.plant.supply, model.plant.tank_pressure
-    # a load-sensing pump rises from its standby as far as the fed chamber asks for
-    p_supply = float(sensed(p_tank, line))
-    start = model.trim(design.q, p_tank + low_pressure)
-    p_head, p_rod = (
-        float(start[model.layout.state(name, design.index)]) for name in ("p_head", "p_rod")
-    )
-    area_head, area_rod = float(design.row.area_head), float(design.row.area_rod)
-    force = p_head * area_head - p_rod * area_rod
+    circuit = design.circuit
+    force, p = _at_start(design, low_pressure)
     along = int(-way * force > 0.0)
     fits = [
         f
@@ -164,18 +156,43 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
         raise InputError(message("trial.no_function", cylinder=design.cylinder, direction=word))
     function = min(fits, key=lambda f: CROSS[f] >= 0)
     if coupled(circuit, function):
-        speed = _spool_speed(circuit, way, force, p_supply, p_tank)
+        speed = _spool_speed(circuit, way, force, p)
     else:
-        p = Pressures(p_head, p_rod, p_supply, p_tank)
         if CROSS[function] >= 0:
-            rules = pack_rules(area_rod, float(line.pressure), low_pressure)
-            p = planned(function, force, p, circuit, rules)
+            supply = float(design.model.plant.supply.pressure)
+            p = planned(
+                function, force, p, circuit, pack_rules(circuit.area_rod, supply, low_pressure)
+            )
         speed = top_speed(function, p, circuit)
     return float(min(speed, pump_speed(function, circuit)))
 
 
-def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_tank: float) -> float:
+def open_speed(design: Design, way: int) -> float:
+    """The steady speed [m/s], ≥ 0, in a direction (±1) with the edges from the supply and to the
+    tank wide open and the load of the start posture; 0 where one of them is missing."""
+    force, p = _at_start(design, 0.0)
+    area = design.circuit.area_head if way > 0 else design.circuit.area_rod
+    most = float(design.circuit.supply[0].flow_limit) / area
+    return min(_spool_speed(design.circuit, way, force, p), most)
+
+
+def _at_start(design: Design, low_pressure: float) -> tuple[float, Pressures]:
+    """The load force [N] at the start posture and the pressures there, the off-side chamber at
+    ``low_pressure`` [Pa] above tank."""
+    model, row = design.model, design.row
+    p_tank = model.plant.tank_pressure
+    # a load-sensing pump rises from its standby as far as the fed chamber asks for
+    p_supply = float(sensed(p_tank, model.plant.supply))
+    start = model.trim(design.q, p_tank + low_pressure)
+    places = (model.layout.state(name, design.index) for name in ("p_head", "p_rod"))
+    p_head, p_rod = (float(start[place]) for place in places)
+    force = p_head * float(row.area_head) - p_rod * float(row.area_rod)
+    return force, Pressures(p_head, p_rod, p_supply, p_tank)
+
+
+def _spool_speed(circuit: Circuit, way: int, force: float, start: Pressures) -> float:
     """Speed [m/s] of a cylinder on one spool that stands wide open, under a load force [N]."""
+    p_supply, p_tank = start.supply, start.tank
     area_head, area_rod = circuit.area_head, circuit.area_rod
     into, out = (SUPPLY_HEAD, ROD_TANK) if way > 0 else (SUPPLY_ROD, HEAD_TANK)
     area_in, area_out = (area_head, area_rod) if way > 0 else (area_rod, area_head)

@@ -47,7 +47,11 @@ SLIDE, THESIS, PUMP = (
 )
 TEXTS = {"crane": CRANE, "rated": PRESS, "press": PRESS, "pump": PUMP, "part": CRANE}
 TEXTS |= {"slide": SLIDE, "thesis": THESIS}
-WAYS = {"out": 10.0, "in": -10.0}
+OPEN = [
+    ("crane_proportional", "out", {"lift.spool": 10.0}),
+    ("crane_proportional", "in", {"lift.spool": -10.0}),
+    ("boom_four_valve", "out", {"boom.sh": 10.0, "boom.rt": 10.0}),
+]
 SLOW_AND_FAST = [
     ("250 kg", "250 kg", set()),
     ("250 kg", "250 g", {"natural frequency"}),
@@ -196,12 +200,12 @@ def test_check_says_how_fast_a_machine_swings_and_moves(tmp_path):
     spring = 9e8 * (head**2 / (150e-6 + 0.2 * head) + rod**2 / (700e-6 - 0.2 * rod))
     swings = [math.sqrt(spring / mass) / math.tau for mass in (250.0, 350.0)]
     assert shown == pytest.approx(swings, rel=1e-3)
-    crane = load_rig(RIGS / "crane_proportional.toml")
-    for path, way, volts in ((RIGS / "crane_proportional.toml", w, v) for w, v in WAYS.items()):
-        (line, *_) = (text for text in inspection.check(path).lines if f"full speed {way}" in text)
-        speed = float(re.findall(rf"full speed {way} ([\d.]+) mm/s", line)[0])
-        log = ehbench.simulate(crane, {"lift.spool": volts}, duration=0.6)
-        assert speed == pytest.approx(1e3 * abs(log["lift.v"][-1]), rel=0.03)
+    for rig, way, commands in OPEN:
+        found = inspection.check(RIGS / f"{rig}.toml").lines
+        (speed, *_) = re.findall(rf"full speed {way} ([\d.]+) mm/s", "".join(found))
+        log = ehbench.simulate(load_rig(RIGS / f"{rig}.toml"), commands, duration=0.6)
+        (v,) = (log[name] for name in log.channels if name.endswith(".v"))
+        assert float(speed) == pytest.approx(1e3 * abs(v[-1]), rel=0.03)
 
 
 @pytest.mark.parametrize(("old", "new", "what"), SLOW_AND_FAST)

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -269,6 +270,15 @@ def test_a_summary_counts_what_came_to_its_end():
     }
     assert result["groups"][2]["measures"][0]["mean"] is None
     assert [(i["key"], i["values"]) for i in result["inputs"]][0][1] == ["none", "50 lb", "70 lb"]
+
+
+def test_equal_numbers_have_no_spread():
+    """Nine times the same: the sum of such is rounded."""
+    known = summary()
+    rows = replace(known.rows, measures=np.full_like(known.rows.measures, 0.95))
+    speed = replace(known, rows=rows).as_json()["measures"][1]
+    assert (speed["samples"], speed["mean"], speed["std"]) == (9, 0.95, 0.0)
+    assert np.full(9, 0.95).std() > 0.0
 
 
 @pytest.mark.parametrize(("count", "rows"), [(9, []), (10, ["speed"])])
