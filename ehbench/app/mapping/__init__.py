@@ -81,7 +81,8 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Answer
     step = message("steps.name_map", map=out.name)
     undecided = [name for name, guess in guesses.items() if not guess.sure]
     if undecided and not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
-        step = message("steps.complete_map", map=out, column=undecided[0])
+        column = max(undecided, key=lambda name: bool(guesses[name].channel))
+        step = message("steps.complete_map", map=out, column=column)
     return Answer(
         message("app.drafted", map=out, sure=sure, count=len(rows)),
         [Grid(["column", "range", "channel"], rows)],
