@@ -22,7 +22,7 @@ METHODS: Mapping[str, int] = {
     "validation": 14,
     "control": 4,  # controllers and their monitor
     "tuning": 6,
-    "trial": 2,  # the loop and what is measured of it
+    "trial": 3,  # the loop and what is measured of it
     "ledger": 4,
     "sampling": 2,  # designs of studies and their statistics
 }
