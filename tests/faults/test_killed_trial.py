@@ -13,15 +13,16 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.config.recipe import load_recipe
+from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read
 from ehbench.data.logs import LogWriter, write_log
 from ehbench.data.record import Record
 from ehbench.links import arming
 from ehbench.runs import rundir
 from ehbench.runtime.interrupts import Terminated
+from ehbench.trial import prepare, run
 from ehbench.vocabulary.errors import InputError
-from tests.shared import RIGS
+from tests.shared import RIGS, ROOT, shipped
 
 SLOW = """
 import time
@@ -55,6 +56,9 @@ sys.modules["ehbench.report"].draw = lambda folder: None
 sys.argv[0] = "ehbench"
 main()
 """
+
+RIG = shipped("slide_servo")
+STEP = {"valve": "press.servo", "kind": "step", "amplitude": "2 V", "start": "0.1 s"}
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 
@@ -216,6 +220,30 @@ def test_an_error_leaves_nothing(place):
     with pytest.raises(InputError, match="ZeroDivisionError at t = 0.099"):
         workflow.run(load_recipe("slow.toml").path, workflow.Session(allow_code=True))
     assert not list(Path().glob("reports/*"))
+
+
+@pytest.mark.parametrize("real_time", [False, True], ids=["written here", "by a thread"])
+def test_a_trial_that_is_broken_off_leaves_its_log_to_the_last_tick(tmp_path, real_time):
+    """And the log says that it was: it is read, with a loss."""
+    recipe = {"stage": "trial", "rig": "x.toml", "duration": "1 s", "command": (STEP,)}
+    ready = prepare(TrialRecipe(path=ROOT / "recipes/trials/position.toml", **recipe), RIG)
+    machine, sent = ready.machine, []
+
+    def tick(command, real=machine.tick):
+        sent.append(command[0])
+        if len(sent) == 334:
+            raise Terminated(signal.SIGINT)
+        return real(command)
+
+    machine.tick, machine.real_time = tick, real_time
+    with pytest.raises(Terminated):
+        run(ready, log=tmp_path / "log.mcap", fast=False)
+    record = read(tmp_path / "log.mcap")
+    assert record.t.size == 334 and record["press.servo.command"][-1] == sent[333] == 2.0
+    assert len(sent) == 385 and sent[-1] == 0.0 and (np.diff(sent[333:]) < 0.0).all()  # its ramp
+    assert len(record.losses) == 1 and "t = 0.333 s" in record.losses[0]
+    assert set(record.attachments) == {"recipe.toml", "rig.toml"}
+    assert inspection.check(tmp_path / "log.mcap").code == 3
 
 
 def test_an_end_of_a_trial_on_a_machine_leaves_its_log(place, monkeypatch):
