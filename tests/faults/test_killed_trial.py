@@ -1,5 +1,6 @@
 """Killed trials: what was logged is read, what is left is cleared, what lives stays."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -21,7 +22,7 @@ from ehbench.links import arming
 from ehbench.runs import rundir
 from ehbench.runtime.interrupts import Terminated
 from ehbench.trial import prepare, run
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, LogError
 from tests.shared import RIGS, ROOT, shipped
 
 SLOW = """
@@ -246,17 +247,26 @@ def test_a_trial_that_is_broken_off_leaves_its_log_to_the_last_tick(tmp_path, re
     assert inspection.check(tmp_path / "log.mcap").code == 3
 
 
-def test_an_end_of_a_trial_on_a_machine_leaves_its_log(place, monkeypatch):
-    """However it ends: what a machine did is not to be had again."""
+@pytest.mark.parametrize(
+    "ends",
+    [
+        lambda log: Terminated(signal.SIGINT),
+        lambda log: OSError(errno.ENOSPC, "full"),
+        lambda log: LogError("full", file=log),
+    ],
+    ids=["signal", "full disk", "no log"],
+)
+def test_an_end_of_a_trial_on_a_machine_leaves_its_log(place, monkeypatch, ends):
+    """However it ends: what a machine did is not to be had again, and the place is said."""
 
     def broken_off(prepared, url, ask, log, *others):
         write_log(log, Record(np.arange(3.0), {"press.x": np.zeros(3)}))
-        raise Terminated(signal.SIGINT)
+        raise ends(log)
 
     monkeypatch.setattr(arming, "run_remote", broken_off)
     Path("open.toml").write_text(OPEN.replace("RIG", "slide.toml") + 'on = "udp://127.0.0.1:1"')
     Path("slide.toml").write_bytes((RIGS / "slide_servo.toml").read_bytes())
-    with pytest.raises(Terminated) as ending:
+    with pytest.raises((Terminated, InputError, LogError)) as ending:
         workflow.run("open.toml")
     (log,) = (path for path in Path("reports").rglob("*") if path.is_file())
     assert str(log) in ending.value.__notes__[0] and read(log).t.size == 3

@@ -538,6 +538,13 @@ def test_a_motion_from_a_file_is_the_curve_through_its_samples(rig, tmp_path):
         table(x=t)
 
 
+def test_a_cylinder_that_moves_alone_has_the_law_that_is_named_for_it(rig, tmp_path):
+    own = 'kind = "arc"\n[controller.cylinders.press]\nkind = "position"\n'
+    named = TOML.replace("[motion]", '[motion]\ncylinder = "press"')
+    (law,) = prepare(closed(tmp_path, own, named), rig).loop.laws
+    assert law.law.name == "position"
+
+
 @pytest.mark.parametrize("place", ["250 mm", "150 mm", "195 mm", None])
 def test_a_motion_begins_where_its_cylinder_stands(rig, tmp_path, place):
     """Without a jump, and no faster than the motion itself."""
