@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 METHODS: Mapping[str, int] = {
-    "logs": 6,  # reading of logs and files, gaps, sensor terms, initial states
+    "logs": 7,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 12,

@@ -346,7 +346,7 @@ class Prepared:
                     shown, edge = (self.rig.shown(word, float(x)) for x in (value, bound))
                     fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit}
                     sentences += message("trial.beyond_limit", **fields)
-        seconds = (span.stop - span.start - 1) / machine.rate
+        seconds = float(rows.t[span.stop - 1] - rows.t[span.start])
         stood = {True: "it stood still", False: "it still moved"}
         sentence = message(
             "trial.after_stop",

@@ -294,7 +294,7 @@ class Session:
             self.missed = max(step - 1.0, 0.0)
             if self._real_time and i + 1 < rows.t.size:
                 nominal = 1.0 / self.machine.rate
-                measured = stamp.time if step > 0.0 else rows.t[i] + nominal
+                measured = stamp.time if step > 0.0 else stamp.time + stamp.age
                 rows.t[i + 1] = max(measured, rows.t[i] + 0.1 * nominal)
             rows.checks.stamp[:4] = stamp
         return False
@@ -358,7 +358,9 @@ class Session:
             doubted = reason_of(self.machine, int(stop.value)) == "frozen"
         sound = bool(np.isfinite(self.rows.sample[speeds]).all()) and not late and not doubted
         sound &= row > self._halted
-        if still and sound:
+        begun = float(self.rows.t[min(self._halted, row - 1)])
+        waited = float(self.rows.t[row - 1]) - begun  # a silent link's rows last longer than a tick
+        if still and sound or waited > RUN_OUT + float(self.prepared.recipe.limits.ramp):
             self.end = row
         self._next_look = min(row + self._stretch, self.end)
         if row == self.end:
