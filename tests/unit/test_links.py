@@ -671,6 +671,20 @@ def test_a_trial_begins_where_its_machine_stands(monkeypatch, stands):
     assert "trial.off_start" in [note.key for note in remote.result.facts.warnings]
 
 
+def test_a_fault_of_a_link_waits_for_valves_that_move(monkeypatch):
+    """A session that ends before does not begin its time: the target was gone for ever."""
+    item = ServedTarget(trial(), (fault(kind="link_lost", start="0.4 s"),))
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: VirtualLink(item))
+    url = "udp://here:1?clock=virtual"
+    with refused("links.unarmed"):
+        run_remote(trial("model"), url, None)
+    for n in range(500):
+        item.tick(n / 250.0)
+    remote = run_remote(trial("model"), url, lambda about, token: token)
+    assert remote.result.facts.stop.limit == "sample_age"
+    assert remote.result.facts.stop.t == pytest.approx(0.42, abs=0.02)
+
+
 def test_a_stop_of_a_machine_that_goes_the_other_way_names_the_command(monkeypatch):
     """And one that does not go at all is not said to be too slow, nor turned."""
     near = {"limits": {"stroke_margin": "20 mm", "following_error": "10 mm"}}
