@@ -10,6 +10,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.control.functions import ALL_RULES
 from ehbench.control.registry import tick
+from ehbench.control.trajectory import SHAPING_NAMES
 from ehbench.export.component import Component, Variable, identifier, members, numbers
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.edge import edge_command
@@ -19,7 +20,7 @@ from ehbench.plant.model import Model
 from ehbench.trial import Prepared, Session
 from ehbench.trial.controllers import Compiled, Design
 from ehbench.vocabulary import VOCABULARY, InputError, message, setting
-from ehbench.vocabulary.codes import ESTIMATES
+from ehbench.vocabulary.codes import ESTIMATES, FUNCTIONS
 from ehbench.vocabulary.errors import one_line
 from ehbench.vocabulary.quantities import STROKES
 
@@ -213,7 +214,7 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
 
 def _gains(law: Compiled) -> Iterator[Variable]:
     rows = {name: row or VOCABULARY.get(name) for name, row in law.law.gains.items()}
-    rows |= {name: VOCABULARY[name] for name in ALL_RULES}
+    rows |= {name: VOCABULARY[name] for name in (*SHAPING_NAMES, *ALL_RULES)}
     gains = law.controller.gains
     values = np.frombuffer(gains.tobytes(), float).tolist()
     for (place, kind), value in zip(members("controller_gains", gains.dtype), values, strict=True):
@@ -228,6 +229,11 @@ def _gains(law: Compiled) -> Iterator[Variable]:
             item = item._replace(unit="" if word == "rate" else row.unit, about=about)
         elif row is not None:
             item = item._replace(unit=row.unit, lower=row.lower, upper=row.upper, about=row.meaning)
+            if at:
+                item = item._replace(about=f"{row.meaning}: {FUNCTIONS[int(at[0])]}")
+            if word in SHAPING_NAMES:
+                about = message("export.shaping", meaning=row.meaning)
+                item = item._replace(lower=0.0, about=about)
         yield item
 
 

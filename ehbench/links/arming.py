@@ -111,11 +111,18 @@ def _as_long(prepared: Prepared, rows: int) -> Prepared:
     return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 
+def _where_it_stands(prepared: Prepared, machine: LinkMachine) -> Prepared:
+    """The trial from where its machine stands now, and not up to a tolerance beside."""
+    machine.reach(prepared.posture, prepared.low_side)
+    machine.prepared = prepared = prepared.standing_at(machine.sample())
+    return prepared
+
+
 def _permitted(
     prepared: Prepared, address: Address, ask: Ask | None
-) -> tuple[Machine, Result, dict[str, float]]:
-    """(the machine of a trial, which a person says may move now, the dry run, the stopping
-    distances [m]). Where it may not, the link is let go.
+) -> tuple[Prepared, Machine, Result, dict[str, float]]:
+    """(a trial from where its machine stands, the machine, which a person says may move now, the
+    dry run, the stopping distances [m]). Where it may not, the link is let go.
 
     Raises:
         InputError: as `run_remote`.
@@ -133,7 +140,7 @@ def _permitted(
                     quality = measure(address.link(), url, PROBE, tuple(refused))
                 for problem in quality.problems():
                     raise InputError(problem)
-            machine.reach(prepared.posture, prepared.low_side)
+            prepared = _where_it_stands(prepared, machine)
             watchdog = machine.watchdog
         dry, distances = rehearsed(prepared, watchdog)
         token, farthest = token_of(prepared, url), max(distances.values(), default=0.0)
@@ -145,8 +152,10 @@ def _permitted(
             raise InputError(message("links.unarmed", about=about, token=token))
         if ask(about, token).strip().upper() != token:
             raise InputError(message("links.wrong_token", token=token))
+        if isinstance(machine, LinkMachine):  # it may have crept since
+            prepared = _where_it_stands(prepared, machine)
         refusal.pop_all()
-    return machine, dry, distances
+    return prepared, machine, dry, distances
 
 
 def run_remote(
@@ -175,7 +184,7 @@ def run_remote(
     """
     refuse_unmanned(prepared, operator)
     address = Address.of(url)
-    machine, dry, distances = _permitted(prepared, address, ask)
+    prepared, machine, dry, distances = _permitted(prepared, address, ask)
     fast = address.mode == "buffered"
     with punctual() as refused:
         result = run(prepared, machine, log, progress, fast, watcher, operator)

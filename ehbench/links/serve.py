@@ -112,7 +112,7 @@ class ServedTarget(Target):
         self.faults, self._late, self._held = faults, deque[tuple[int, bytes]](), b""
         self._table: dict[int, list[float]] = {}
         self._log: list[bytes] = []
-        self._asked, self._began = -1, 0
+        self._asked, self._began, self._ran = -1, 0, False
 
     def receive(self, datagram: bytes, now: float) -> bool:
         """As `Target.receive`."""
@@ -139,7 +139,9 @@ class ServedTarget(Target):
 
     def tick(self, now: float) -> bytes:
         """As `Target.tick`; b"" where the link loses it."""
-        if self.state < RUNNING:
+        if self.state <= RUNNING:
+            self._ran = self.state == RUNNING
+        if not self._ran:  # nor in a session that ends before
             self._began = self.sequence
             if isinstance(self.served.machine, FaultyMachine):
                 self.served.machine.begin()

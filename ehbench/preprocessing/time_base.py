@@ -29,6 +29,7 @@ class TimeSettings:
 
 
 SETTINGS = TimeSettings()
+SEQUENCE = "sample_sequence"  # the number of the sample that a row of a machine's log has
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[Message]]:
@@ -89,11 +90,14 @@ def parts_of(
     whole = [LogPart(name, record)]
     if record.t.size < 3:
         return whole, []
+    record, notes = _as_it_came(name, record)
     tick, steps = record.sample_time, np.diff(record.t)
     missing = missing_rows(record.t, tick, (2.0 * SETTINGS.jitter + SETTINGS.even) * tick)
     gaps = np.flatnonzero(missing >= 1.0)
-    if not gaps.size or gaps.size > SETTINGS.rare * steps.size or np.any(steps <= 0.0):
+    if gaps.size > SETTINGS.rare * steps.size or np.any(steps <= 0.0):
         return whole, []
+    if not gaps.size:
+        return [LogPart(name, record)], notes
     is_short = missing[gaps] <= RATES.bridged
     few, many = gaps[is_short], gaps[~is_short]
     edges = [0, *(many + 1).tolist(), record.t.size]
@@ -114,7 +118,6 @@ def parts_of(
         for number, (start, stop) in enumerate(retained, 1)
     ]
     left_out = [span for span in spans if span not in retained]
-    notes = []
     if few.size:
         shown = _gap_list(record, few, missing)
         share = float(missing[few].sum() / (record.t.size + missing[few].sum()))
@@ -132,6 +135,19 @@ def parts_of(
         shown = ", ".join(f"{first:.6g} to {last:.6g} s" for first, last in ends)
         notes.append(message("preprocessing.parts_left_out", log=name, spans=shown))
     return results, notes
+
+
+def _as_it_came(name: str, record: Record) -> tuple[Record, list[Message]]:
+    """A log without the rows in which no sample came, which repeat the one before; a message where
+    that is its end."""
+    if SEQUENCE not in record:
+        return record, []
+    came = np.diff(record[SEQUENCE], prepend=-np.inf) > 0.0
+    heard, end = record.at(came), float(record.t[-1])
+    if came[-1]:
+        return heard, []
+    fields = {"last": float(heard.t[-1]), "end": end}
+    return heard, [message("preprocessing.none_came", log=name, **fields)]
 
 
 def _retained(

@@ -216,13 +216,12 @@ def open_run(
         if error.errno not in FULL:
             raise
         text = message("runs.not_written", reason=error.strerror)
-        full = InputError(text, file=final)
-        full.__notes__ = getattr(error, "__notes__", [])
-        raise full from None
+        raise _noted(error, InputError(text, file=final)) from None
     except EhbenchError as error:  # of a file that is gone by the time the message is read
         if error.file is None or scratch not in Path(error.file).parents:
             raise
-        raise type(error)(error.message, file=final, hint=error.hint) from None
+        elsewhere = type(error)(error.message, file=final, hint=error.hint)
+        raise _noted(error, elsewhere) from None
     finally:
         with unbroken():
             shutil.rmtree(scratch, ignore_errors=True)
@@ -231,6 +230,13 @@ def open_run(
                     folder.rmdir()
         if lock is not None:
             os.close(lock)
+
+
+def _noted(error: Exception, other: EhbenchError) -> EhbenchError:
+    """Another error in place of one, with its notes: where the log is."""
+    for note in getattr(error, "__notes__", []):
+        other.add_note(note)
+    return other
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 METHODS: Mapping[str, int] = {
-    "logs": 6,  # reading of logs and files, gaps, sensor terms, initial states
+    "logs": 7,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 3,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 12,
@@ -22,7 +22,7 @@ METHODS: Mapping[str, int] = {
     "validation": 14,
     "control": 4,  # controllers and their monitor
     "tuning": 6,
-    "trial": 2,  # the loop and what is measured of it
+    "trial": 3,  # the loop and what is measured of it
     "ledger": 4,
     "sampling": 2,  # designs of studies and their statistics
 }

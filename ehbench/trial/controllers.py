@@ -184,18 +184,9 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
     with placed(recipe.at(*controller.where, "unused")):
         unused = [valves.index(valve) for valve in controller.unused]
         circuit = circuit_of(model, index, maps, unused)
-    with placed(recipe.at("posture")):
-        model.posture(recipe.posture)
     with placed(recipe.at(*motion_at, "waypoints")):
-        q = model.posture(posture_of(recipe, names[index]))
+        q = model.posture(recipe.posture)
     return Design(rig, maps, model, names[index], index, q, circuit)
-
-
-def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
-    """The posture of a recipe; the controlled cylinder stands at the first waypoint of its motion
-    unless the recipe says otherwise."""
-    points = recipe.motion.waypoints if recipe.motion is not None else ()
-    return ({cylinder: f"{float(points[0])!r} m"} if points else {}) | recipe.posture
 
 
 def refuse_unknown(recipe: TrialRecipe) -> None:

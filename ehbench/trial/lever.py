@@ -5,7 +5,7 @@ of the clock: the deflections of a log give the same motion once more, to the bi
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,7 +109,8 @@ def _logged(recipe: TrialRecipe, file: str, cylinder: str) -> np.ndarray:
     rate, names = float(recipe.rate), [f"{cylinder}.{name}" for name in LEVER_CHANNELS]
     path = recipe.file(file)
     record = log_with(names[DEFLECTION], path)
-    before, *after = (part.record.t for part in parts_of(file, record)[0])
+    lever = {name: y for name, y in record.channels.items() if name in names}
+    before, *after = (part.record.t for part in parts_of(file, replace(record, channels=lever))[0])
     if after:  # a deflection would be held where nobody may have held the lever
         fields = {"t": before[-1], "seconds": after[0][0] - before[-1]}
         raise InputError(message("trial.lever_gap", **fields), file=path)

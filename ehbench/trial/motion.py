@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe import CylinderMotion, Motion, TrialRecipe
+from ehbench.config.rig import Rig
 from ehbench.control.functions import (
     CROSS,
     DIRECTION,
@@ -32,7 +33,7 @@ from ehbench.trial.controllers import Design
 from ehbench.trial.lever import LEVER_CHANNELS, Lever, commanded
 from ehbench.vocabulary import VOCABULARY, InputError, Quantity, message, placed, setting
 from ehbench.vocabulary.codes import FUNCTIONS
-from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.fields import Value, read_value
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class MotionSettings:
 
 
 MOTION = MotionSettings()
+ROUNDING = 1e-9  # [m] of a stroke that follows from an angle
 _SHARE = Quantity(
     "share", "r", "dimensionless", "%", "share of the full speed, negative retracts", -2, 2
 )
@@ -63,11 +65,14 @@ class Level:
 @dataclass(frozen=True)
 class References:
     """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), the levels of speed in it, and the row
-    at which its last cycle begins; the ``lever`` of an operator, and ``inputs``, what it said."""
+    at which its last cycle begins; how far ``apart`` [m] the cylinder stood, and the time [s] on
+    the ``way`` from there; the ``lever`` of an operator, and ``inputs``, what it said."""
 
     table: np.ndarray
     levels: tuple[Level, ...] = ()
     last_cycle: int = 0
+    apart: float = 0.0
+    way: float = 0.0
     lever: Lever | None = None
     inputs: np.ndarray = field(default_factory=lambda: np.zeros((0, len(LEVER_CHANNELS))))
 
@@ -82,7 +87,41 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
         return lasting(recipe, design, rest(design))
     with placed(recipe.at(*motion.where)):
         desired = MOTIONS[motion.kind](recipe, motion, design, low_pressure)
-    return lasting(recipe, design, desired)
+    return lasting(recipe, design, from_its_start(recipe, desired, design))
+
+
+def starts_of(recipe: TrialRecipe, rig: Rig) -> dict[str, float]:
+    """The strokes [m] at which the motions of a recipe begin, by cylinder; without those of motions
+    that begin where their cylinder stands.
+
+    Raises:
+        InputError: a log of a motion without its strokes."""
+    starts = {}
+    for motion in () if recipe.motion is None else recipe.motion.each:
+        cylinder = motion.cylinder or rig.cylinder[0].name
+        if motion.kind == "file" and motion.file is not None:
+            name = f"{cylinder}.x_desired"
+            with placed(recipe.at(*motion.where)):
+                starts[cylinder] = float(log_with(name, recipe.file(motion.file))[name][0])
+        elif motion.waypoints:
+            starts[cylinder] = float(motion.waypoints[0])
+    return starts
+
+
+def from_its_start(recipe: TrialRecipe, desired: References, design: Design) -> References:
+    """A motion that begins where the cylinder stands, if need be off its first row: on the way it
+    makes up for the difference, within the speed, acceleration and jerk that it has itself."""
+    table, tick = desired.table, 1.0 / float(recipe.rate)
+    apart = design.x - float(table[0, X])
+    if abs(apart) < ROUNDING:
+        return desired
+    speed, acceleration, jerk = np.abs(table[:, V:]).max(axis=0).tolist()
+    speed = speed or abs(apart) / MOTION.speed_up
+    limits = _limits(speed, acceleration or None, jerk or None)
+    way = point_to_point([apart, 0.0], tick=tick, **limits)
+    rows = max(len(way), len(table))
+    table = standing(table, rows) + standing(way, rows)
+    return replace(desired, table=table, apart=apart, way=(len(way) - 1) * tick)
 
 
 def rest(design: Design) -> References:
@@ -255,18 +294,22 @@ def limits_of(recipe: TrialRecipe, motion: CylinderMotion, points: int) -> dict[
     Raises:
         InputError: rests that are not one for all or one for each."""
     assert motion.speed is not None  # the recipe's model sees to it
-    speed = float(motion.speed)
-    acceleration = (
-        speed / MOTION.speed_up if motion.acceleration is None else float(motion.acceleration)
-    )
-    jerk = 4.0 * acceleration / MOTION.speed_up if motion.jerk is None else float(motion.jerk)
     holds = [float(h) for h in motion.hold] or [MOTION.rest]
     if len(holds) not in (1, points):
         problem = message("trial.hold_count", count=len(holds), points=points)
         raise InputError(problem, **recipe.at(*motion.where, "hold"))
     hold = holds[0] if len(holds) == 1 else holds
-    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk}
+    limits = _limits(float(motion.speed), motion.acceleration, motion.jerk)
     return limits | {"hold": hold, "profile": motion.profile}
+
+
+def _limits(
+    speed: float, acceleration: Value | float | None, jerk: Value | float | None
+) -> dict[str, Any]:
+    """The limits [m/s, m/s², m/s³] of a motion, the usual ones where it states none."""
+    rise = speed / MOTION.speed_up if acceleration is None else float(acceleration)
+    bend = 4.0 * rise / MOTION.speed_up if jerk is None else float(jerk)
+    return {"speed": speed, "acceleration": rise, "jerk": bend}
 
 
 def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:

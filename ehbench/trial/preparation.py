@@ -4,8 +4,10 @@ it stops."""
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +37,15 @@ from ehbench.trial.code import refuse_code
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design
 from ehbench.trial.coordination import Driven, Plan, as_long, joints_of, planned, tables_of
-from ehbench.trial.motion import References, lasting, references, rest
+from ehbench.trial.motion import (
+    MOTION,
+    References,
+    from_its_start,
+    lasting,
+    references,
+    rest,
+    starts_of,
+)
 from ehbench.trial.path import route
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary import InputError, Message, message, placed
@@ -137,8 +147,8 @@ class Prepared:
     ``table`` the open-loop commands [V], shape (samples, valves); ``limits`` as in
     `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop; ``payloads``
     what it carries from which row on, where that changes; ``cylinders`` are the rig's rows of the
-    plant; ``notes`` what is said of its controllers, their tuning and its loads. It may run again,
-    and gives the same bytes."""
+    plant; ``again`` prepares the trial of another recipe with all else; ``notes`` what is said of
+    its controllers, their tuning and its loads. It may run again, and gives the same bytes."""
 
     recipe: TrialRecipe
     rig: Rig
@@ -151,7 +161,19 @@ class Prepared:
     loop: Loop | None
     payloads: dict[int, str | None]
     cylinders: np.ndarray
+    again: Callable[[TrialRecipe], Prepared]
     notes: tuple[str, ...] = ()
+
+    def standing_at(self, sample: np.ndarray) -> Prepared:
+        """The same trial of a machine that stands where a sample says; where that has no stroke,
+        as it is."""
+        names, strokes = self.machine.channels, iter(self.machine.strokes.tolist())
+        posture = dict(self.recipe.posture)
+        for name, value in zip(names, sample.tolist(), strict=True):
+            if name.endswith(".x"):
+                x = min(max(value, 0.0), next(strokes))
+                posture |= {name.removesuffix(".x"): f"{x!r} m"} if math.isfinite(value) else {}
+        return self.again(self.recipe.model_copy(update={"posture": posture}))
 
     @property
     def duration(self) -> float:
@@ -324,7 +346,7 @@ class Prepared:
                     shown, edge = (self.rig.shown(word, float(x)) for x in (value, bound))
                     fields = {"channel": channel, "value": shown, "bound": edge, "limit": limit}
                     sentences += message("trial.beyond_limit", **fields)
-        seconds = (span.stop - span.start - 1) / machine.rate
+        seconds = float(rows.t[span.stop - 1] - rows.t[span.start])
         stood = {True: "it stood still", False: "it still moved"}
         sentence = message(
             "trial.after_stop",
@@ -359,6 +381,9 @@ def prepare(
             rig; on a machine that stands at its start at once, a limit reached there; code that is
             not allowed.
     """
+    again = partial(
+        prepare, rig=rig, maps=maps, gains=gains, allow_code=allow_code, standing=standing
+    )
     with placed(recipe.at("supply")):
         rig = rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
     loop, posture, chosen = None, recipe.posture, recipe.controller
@@ -369,19 +394,8 @@ def prepare(
     if chosen is not None:
         refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
-        posture = controllers.posture_of(loop.driven[0].recipe, loop.design.cylinder)
-    rate = float(recipe.rate)
-    if loop is not None:
-        count = len(loop.references.table)
-    else:
-        assert recipe.duration is not None  # the recipe's model sees to it
-        with placed(recipe.at("duration")):
-            count = rows_of(float(recipe.duration), rate) + 1
-    if count < 2:
-        raise InputError(message("trial.too_short"), **recipe.at("duration"))
-    with placed(recipe.at("duration")):
-        _refuse_endless(recipe, rig, count)
-    t = np.arange(count) / rate
+        posture = loop.driven[0].recipe.posture
+    t = np.arange(_length(recipe, rig, loop)) / float(recipe.rate)
     table = command_table(recipe, rig, t, () if loop is None else loop.valves)
     machine = open_machine(recipe, rig, maps)
     _refuse_unknown_pressures(recipe, machine)
@@ -389,7 +403,7 @@ def prepare(
     model = Model.of(rig, maps) if loop is None else loop.design.model
     limits = limit_array(recipe.limits, rig, t[1])
     given = recipe, rig, maps, machine, t, table, limits, posture, loop
-    prepared = Prepared(*given, payloads, model.plant.cylinders)
+    prepared = Prepared(*given, payloads, model.plant.cylinders, again)
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:
@@ -403,11 +417,22 @@ def _notes(prepared: Prepared, model: Model) -> tuple[str, ...]:
     carry."""
     loop, loads = prepared.loop, (prepared.recipe.payload, *prepared.payloads.values())
     q = model.posture(prepared.posture)[None] if loop is None else joints_of(loop.driven)[0]
-    notes = () if loop is None else loop.notes
+    notes = () if loop is None else (*loop.notes, *_off_their_starts(loop))
     for load in dict.fromkeys(loads):
         loaded = Model.of(prepared.rig, prepared.maps, load)
         notes += tuple(loaded.weak_supply(load, q[:: max(1, len(q) // PLACES)]))
     return notes
+
+
+def _off_their_starts(loop: Loop) -> Iterator[Message]:
+    """What is said of cylinders that stand so far off the start of their motion that the way there
+    takes as long as it takes to full speed."""
+    for item in loop.driven:
+        motion = item.references
+        if motion.way > MOTION.speed_up:
+            apart = item.design.rig.shown("x", abs(motion.apart))
+            given = {"cylinder": item.cylinder, "apart": apart, "seconds": motion.way}
+            yield message("trial.off_start", **given)
 
 
 def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
@@ -446,6 +471,23 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
 _ROW, _EACH = 100, 30
 
 
+def _length(recipe: TrialRecipe, rig: Rig, loop: Loop | None) -> int:
+    """The rows of a trial.
+
+    Raises:
+        InputError: fewer than two; more than any memory holds, or that would compute for hours."""
+    with placed(recipe.at("duration")):
+        if loop is not None:
+            count = len(loop.references.table)
+        else:
+            assert recipe.duration is not None  # the recipe's model sees to it
+            count = rows_of(float(recipe.duration), float(recipe.rate)) + 1
+        if count < 2:
+            raise InputError(message("trial.too_short"))
+        _refuse_endless(recipe, rig, count)
+    return count
+
+
 def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     """Refuse a trial that no memory holds, or that would compute for hours."""
     parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
@@ -470,9 +512,13 @@ def _loop(
     gains: Path | Mapping[str, Any] | None,
     standing: bool,
 ) -> Loop:
-    model = Model.of(rig, maps)  # one for all: nobody writes into it
-    along = recipe.motion is not None and recipe.motion.kind == "path"
-    starts, tables = route(recipe, model) if along else (None, None)
+    model, tables = Model.of(rig, maps), None  # one for all: nobody writes into it
+    with placed(recipe.at("posture")):
+        model.posture(recipe.posture)
+    if recipe.motion is not None and recipe.motion.kind == "path":
+        starts, tables = route(recipe, model)
+    else:
+        starts = starts_of(recipe, rig)
     singles = recipe.singles(starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
@@ -485,8 +531,8 @@ def _loop(
     designs = [controllers.design(single, rig, maps, model) for single in singles]
     notes += tuple(text for item in designs for text in model.creeping(item.cylinder))
     if tables is None and len(singles) == 1:
-        motion = rest(designs[0]) if standing else references(recipe, designs[0], low)
-        driven = (Driven(recipe, designs[0], motion),)
+        motion = rest(designs[0]) if standing else references(singles[0], designs[0], low)
+        driven = (Driven(singles[0], designs[0], motion),)
         return Loop(driven, _over(_laws(recipe, driven, tuning), driven), level, notes=notes)
     motions = []
     for single, design in zip(singles, designs, strict=True):
@@ -498,7 +544,7 @@ def _loop(
         elif tables is None:
             motions.append(references(desired, design, low))
         else:
-            motions.append(References(tables[design.cylinder]))
+            motions.append(from_its_start(single, References(tables[design.cylinder]), design))
     driven = tuple(Driven(*item) for item in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
     supply = float(rig.supply.pressure)  # of a user's class, whose rules are not known

@@ -25,6 +25,7 @@ from ehbench.plant.paced import AUTO
 from ehbench.plant.stiffness import short_steps
 from ehbench.preprocessing.observations import SETTINGS as OBSERVED
 from ehbench.preprocessing.observations import commanded
+from ehbench.preprocessing.time_base import SEQUENCE
 from ehbench.trial.controllers import Compiled, controller_of, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
@@ -228,6 +229,8 @@ def _on_beats(record: Record, machine: Machine) -> Record:
     row = np.clip(np.searchsorted(record.t, t + 0.5 / machine.rate) - 1, 0, None)
     channels = {name: values[row] for name, values in record.channels.items()}
     after = np.minimum(np.searchsorted(times, t + 0.5 / machine.rate), len(times) - 1)
+    last = np.clip(np.searchsorted(times, t + 0.5 / machine.rate) - 1, 0, None)
+    channels[SEQUENCE] = np.round(times[last] * machine.rate)
     known = t <= times[-1]  # a link that is lost says nothing of what acted
     for i, name in enumerate(machine.channels):
         sound = quantity(name).holds(sent[:, i])

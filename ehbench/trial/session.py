@@ -139,6 +139,7 @@ class Session:
         self.after: Aftermath | None = None
         self.end = prepared.t.size
         self._halted, self._next_look = 0, sys.maxsize
+        self._ticked = self._logged_rows = 0
         self._sent = machine.commands.rest.copy()  # the last command that the machine got
         stamp = stamp_of(machine)
         self.missed, self._real_time = 0.0, in_real_time(machine)
@@ -177,7 +178,7 @@ class Session:
         with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
-            except BaseException:  # the valves go to rest by the recipe's ramp, whatever ended it
+            except BaseException as error:  # the valves go to rest by the recipe's ramp
                 rest = self.machine.commands.rest
                 ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
                 if (halt := halt_of(self.machine)) is not None:
@@ -186,6 +187,9 @@ class Session:
                     for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
                         with suppress(Exception):  # one that fails still gets what follows
                             self.machine.tick((1.0 - share) * self._sent + share * rest)
+                    if log is not None and self._ticked and not isinstance(error, OSError):
+                        self._log(log, self._ticked)
+                        log.break_off(float(self.rows.t[self._ticked - 1]))
                 raise
 
     def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
@@ -202,21 +206,27 @@ class Session:
             stopped_at, upto = self._through(first, until)
             if stopped_at >= 0:
                 self._halt(stopped_at)
-            if self._truth is None:  # the value before, where a sensor gave no plausible number
-                samples, (lowest, highest) = self.rows.samples, self._plausible
-                part = samples[first:upto]
-                gaps = self.rows.checks.measured & ~((lowest <= part) & (part <= highest))
-                for i, j in zip(*np.nonzero(gaps), strict=True):
-                    samples[first + i, j] = samples[first + i - 1, j]
-                self.gaps += gaps.sum(axis=0)
-            if log is not None:
-                log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
+            self._log(log, upto)
             first = upto
             if first == self._next_look:
                 self._look(first)
             slow = self._pace(first, time.monotonic() - begun)
             if progress is not None:
                 progress(slow, first / self.end)
+
+    def _log(self, log: LiveLog | None, upto: int) -> None:
+        """Let a log take the rows since the last that it took."""
+        first = self._logged_rows
+        if self._truth is None:  # the value before, where a sensor gave no plausible number
+            samples, (lowest, highest) = self.rows.samples, self._plausible
+            part = samples[first:upto]
+            gaps = self.rows.checks.measured & ~((lowest <= part) & (part <= highest))
+            for i, j in zip(*np.nonzero(gaps), strict=True):
+                samples[first + i, j] = samples[first + i - 1, j]
+            self.gaps += gaps.sum(axis=0)
+        if log is not None:
+            log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
+        self._logged_rows = upto
 
     def _pace(self, done: int, seconds: float) -> str:
         """Words on a class that is slow to answer; refuses one that would take for ever."""
@@ -273,7 +283,7 @@ class Session:
             if i >= len(self.stamps):
                 self.stamps = np.concatenate([self.stamps, np.zeros_like(self.stamps)])
             self.stamps[i] = *rows.checks.stamp[:3], self.missed, *self._packet
-        self._sent = rows.commands[i].copy()
+        self._sent, self._ticked = rows.commands[i].copy(), i + 1
         rows.sample[:] = self.machine.tick(rows.commands[i])
         stamp, applied = stamp_of(self.machine), applied_of(self.machine)
         self._packet = packet_of(self.machine)
@@ -284,7 +294,7 @@ class Session:
             self.missed = max(step - 1.0, 0.0)
             if self._real_time and i + 1 < rows.t.size:
                 nominal = 1.0 / self.machine.rate
-                measured = stamp.time if step > 0.0 else rows.t[i] + nominal
+                measured = stamp.time if step > 0.0 else stamp.time + stamp.age
                 rows.t[i + 1] = max(measured, rows.t[i] + 0.1 * nominal)
             rows.checks.stamp[:4] = stamp
         return False
@@ -348,7 +358,9 @@ class Session:
             doubted = reason_of(self.machine, int(stop.value)) == "frozen"
         sound = bool(np.isfinite(self.rows.sample[speeds]).all()) and not late and not doubted
         sound &= row > self._halted
-        if still and sound:
+        begun = float(self.rows.t[min(self._halted, row - 1)])
+        waited = float(self.rows.t[row - 1]) - begun  # a silent link's rows last longer than a tick
+        if still and sound or waited > RUN_OUT + float(self.prepared.recipe.limits.ramp):
             self.end = row
         self._next_look = min(row + self._stretch, self.end)
         if row == self.end:
@@ -428,6 +440,14 @@ class LiveLog:
         if self._writing is not None and self._writing.done():
             self._writing.result()
         self._writing = self._pool.submit(self.writer.extend, t.copy(), rows)
+
+    def break_off(self, t: float) -> None:
+        """Say in the log that it ends at ``t`` [s] because its trial was broken off."""
+        lose, text = self.writer.lose, message("trial.broken_off", t=t)
+        if self._pool is None:
+            lose(text)
+        else:
+            self._pool.submit(lose, text)
 
     def finish(self, record: Record) -> None:
         """Close the log of a trial that came to its end. Its bytes hang on ``record`` alone: a log

@@ -1,5 +1,6 @@
 """Killed trials: what was logged is read, what is left is cleared, what lives stays."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -13,15 +14,16 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.config.recipe import load_recipe
+from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read
 from ehbench.data.logs import LogWriter, write_log
 from ehbench.data.record import Record
 from ehbench.links import arming
 from ehbench.runs import rundir
 from ehbench.runtime.interrupts import Terminated
-from ehbench.vocabulary.errors import InputError
-from tests.shared import RIGS
+from ehbench.trial import prepare, run
+from ehbench.vocabulary.errors import InputError, LogError
+from tests.shared import RIGS, ROOT, shipped
 
 SLOW = """
 import time
@@ -55,6 +57,9 @@ sys.modules["ehbench.report"].draw = lambda folder: None
 sys.argv[0] = "ehbench"
 main()
 """
+
+RIG = shipped("slide_servo")
+STEP = {"valve": "press.servo", "kind": "step", "amplitude": "2 V", "start": "0.1 s"}
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 
@@ -218,17 +223,50 @@ def test_an_error_leaves_nothing(place):
     assert not list(Path().glob("reports/*"))
 
 
-def test_an_end_of_a_trial_on_a_machine_leaves_its_log(place, monkeypatch):
-    """However it ends: what a machine did is not to be had again."""
+@pytest.mark.parametrize("real_time", [False, True], ids=["written here", "by a thread"])
+def test_a_trial_that_is_broken_off_leaves_its_log_to_the_last_tick(tmp_path, real_time):
+    """And the log says that it was: it is read, with a loss."""
+    recipe = {"stage": "trial", "rig": "x.toml", "duration": "1 s", "command": (STEP,)}
+    ready = prepare(TrialRecipe(path=ROOT / "recipes/trials/position.toml", **recipe), RIG)
+    machine, sent = ready.machine, []
+
+    def tick(command, real=machine.tick):
+        sent.append(command[0])
+        if len(sent) == 334:
+            raise Terminated(signal.SIGINT)
+        return real(command)
+
+    machine.tick, machine.real_time = tick, real_time
+    with pytest.raises(Terminated):
+        run(ready, log=tmp_path / "log.mcap", fast=False)
+    record = read(tmp_path / "log.mcap")
+    assert record.t.size == 334 and record["press.servo.command"][-1] == sent[333] == 2.0
+    assert len(sent) == 385 and sent[-1] == 0.0 and (np.diff(sent[333:]) < 0.0).all()  # its ramp
+    assert len(record.losses) == 1 and "t = 0.333 s" in record.losses[0]
+    assert set(record.attachments) == {"recipe.toml", "rig.toml"}
+    assert inspection.check(tmp_path / "log.mcap").code == 3
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        lambda log: Terminated(signal.SIGINT),
+        lambda log: OSError(errno.ENOSPC, "full"),
+        lambda log: LogError("full", file=log),
+    ],
+    ids=["signal", "full disk", "no log"],
+)
+def test_an_end_of_a_trial_on_a_machine_leaves_its_log(place, monkeypatch, ends):
+    """However it ends: what a machine did is not to be had again, and the place is said."""
 
     def broken_off(prepared, url, ask, log, *others):
         write_log(log, Record(np.arange(3.0), {"press.x": np.zeros(3)}))
-        raise Terminated(signal.SIGINT)
+        raise ends(log)
 
     monkeypatch.setattr(arming, "run_remote", broken_off)
     Path("open.toml").write_text(OPEN.replace("RIG", "slide.toml") + 'on = "udp://127.0.0.1:1"')
     Path("slide.toml").write_bytes((RIGS / "slide_servo.toml").read_bytes())
-    with pytest.raises(Terminated) as ending:
+    with pytest.raises((Terminated, InputError, LogError)) as ending:
         workflow.run("open.toml")
     (log,) = (path for path in Path("reports").rglob("*") if path.is_file())
     assert str(log) in ending.value.__notes__[0] and read(log).t.size == 3

@@ -14,10 +14,12 @@ from ehbench import trial, workflow
 from ehbench.app import inspection
 from ehbench.config.recipe import ExportRecipe, TrialRecipe, load_rig
 from ehbench.control import LAW_NAMES
+from ehbench.control.trajectory import SHAPING_NAMES
 from ehbench.export import FORMATS, Export, c99, compiler
 from ehbench.export.source import write_sources
 from ehbench.plant.model import Model
 from ehbench.runtime.fmu import fmu_of
+from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import EhbenchError
 from tests.shared import RECIPES, refused, shipped
 
@@ -111,6 +113,18 @@ def test_c_equals_a_trial_to_the_bit(name, law, tmp_path):
                 begin = 1 if late and not channel.endswith(".command") else 0
                 recorded = record[channel][begin : begin + column.size]
                 assert np.array_equal(recorded, column, equal_nan=True), channel
+
+
+@pytest.mark.parametrize("law", LAW_NAMES)
+def test_every_number_of_a_law_has_a_meaning_and_lies_within_its_bounds(law):
+    controller = export_of("slide_servo", law, parts="controller").components[0]
+    given = controller.role("parameter")
+    assert [item.name for item in given if not item.about] == []
+    assert [i.name for i in given if not i.lower <= i.start <= i.upper] == []
+    names = [item.name.rsplit(".", 1)[-1] for item in given if "shaping" in item.name]
+    assert names == ([] if law == "arc" else [*SHAPING_NAMES])
+    one_by_one = [item.about for item in given if "feedback_gain[" in item.name]
+    assert len({*one_by_one}) == len(one_by_one) == (0 if law == "arc" else len(FUNCTIONS))
 
 
 @pytest.mark.parametrize("name", ["slide_servo", "thesis_arm"])

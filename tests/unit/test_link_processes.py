@@ -27,6 +27,7 @@ from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import measure
 from ehbench.links.responder import ALIVE, ARMED, HEADER, REASONS, RUNNING, STOPPED
 from ehbench.links.transport import REASON, SEQUENCE, STATE, TOKEN, UdpLink
+from ehbench.preprocessing.time_base import parts_of
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.errors import InputError
 from tests.shared import ROOT, refused, shipped
@@ -230,6 +231,9 @@ def test_either_end_is_safe_when_the_other_is_killed(tmp_path, started, trial):
     record = result.record
     assert (np.diff(record.t) > 0.0).all() and record["press.servo.command"][-1] == 0.0
     assert len(read_log(tmp_path / "log.mcap")) == record.t.size
+    (part,), notes = parts_of("log", record)  # the limit is 400 ms
+    assert part.record.t[-1] == pytest.approx(result.facts.stop.t - 0.41, abs=0.03)
+    assert "preprocessing.none_came" in [note.key for note in notes]
 
 
 def test_a_served_bench_speaks_modbus(started, trial):

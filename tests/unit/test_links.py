@@ -654,6 +654,37 @@ def test_what_comes_after_a_stop_makes_no_tick_late(monkeypatch):
     assert link["late"] <= 6 and link["ticks"] == pytest.approx(250.0 * stop.t, abs=2.0)
 
 
+@pytest.mark.parametrize("stands", [0.151, 0.17])
+def test_a_trial_begins_where_its_machine_stands(monkeypatch, stands):
+    """Off its first waypoint by less than is refused: no step of the desired stroke, nor of the
+    dry run's."""
+    item = ServedTarget(trial(posture={"press": f"{stands} m"}))
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: VirtualLink(item))
+    remote = run_remote(trial("model"), "udp://here:1?clock=virtual", lambda about, token: token)
+    record, dry = remote.result.record, remote.dry_run
+    x, desired = record["press.x"], record["press.x_desired"]
+    assert x[0] == pytest.approx(stands, abs=5e-4) and desired[0] == pytest.approx(x[0], abs=5e-4)
+    speed = np.abs(np.diff(desired)) / record.sample_time
+    assert speed.max() < 0.1 + 1e-9  # that of the motion
+    assert np.abs(x - desired).max() < 6e-3 < abs(stands - 0.16)
+    assert dry["differences"]["press.x"]["largest"] < 5e-3
+    assert "trial.off_start" in [note.key for note in remote.result.facts.warnings]
+
+
+def test_a_fault_of_a_link_waits_for_valves_that_move(monkeypatch):
+    """A session that ends before does not begin its time: the target was gone for ever."""
+    item = ServedTarget(trial(), (fault(kind="link_lost", start="0.4 s"),))
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: VirtualLink(item))
+    url = "udp://here:1?clock=virtual"
+    with refused("links.unarmed"):
+        run_remote(trial("model"), url, None)
+    for n in range(500):
+        item.tick(n / 250.0)
+    remote = run_remote(trial("model"), url, lambda about, token: token)
+    assert remote.result.facts.stop.limit == "sample_age"
+    assert remote.result.facts.stop.t == pytest.approx(0.42, abs=0.02)
+
+
 def test_a_stop_of_a_machine_that_goes_the_other_way_names_the_command(monkeypatch):
     """And one that does not go at all is not said to be too slow, nor turned."""
     near = {"limits": {"stroke_margin": "20 mm", "following_error": "10 mm"}}

@@ -78,6 +78,28 @@ def test_a_log_of_late_stamps_is_cut_where_rows_are_missing_alone():
     np.testing.assert_array_equal(whole[command], parts[1].record[command])
 
 
+def test_rows_in_which_no_sample_came_are_none_of_the_machine():
+    """A log goes on where a link is silent: its rows repeat the last sample, under commands that
+    nobody says acted. A few are bridged, at many the log is cut, and it ends with the last."""
+    record = recording(np.zeros(ROWS.size), np.ones(ROWS.size, bool))
+    number = ROWS.astype(float)
+    for first, stop in ((300, 302), (700, 740), (1300, ROWS.size)):
+        number[first:stop] = number[first - 1]
+        record["press.x"][first:stop] = record["press.x"][first - 1]
+    channels = {**record.channels, "sample_sequence": number}
+    parts, said = parts_of("log", Record(record.t, channels))
+    assert [(part.record.t[0], part.record.t[-1]) for part in parts] == [(0.0, 6.99), (7.4, 12.99)]
+    keys = ("none_came", "bridged", "cut", "parts")
+    assert [note.key for note in said] == [f"preprocessing.{key}" for key in keys]
+    assert said[0].fields["last"] == 12.99 and said[0].fields["end"] == record.t[-1]
+    for part in parts:
+        x = np.sin(2.0 * part.record.t)
+        np.testing.assert_allclose(part.record["press.x"], x, atol=(2.0 * 3 * PERIOD) ** 2 / 8.0)
+    number[1300:] = ROWS[1300:]
+    parts, said = parts_of("log", Record(record.t, channels).at(slice(800, None)))
+    assert not said and len(parts) == 1
+
+
 def test_time_without_a_rate_is_refused_with_what_helps():
     t = np.cumsum(np.random.default_rng(8).uniform(0.002, 0.02, 800))
     with pytest.raises(LogError, match="not evenly sampled.*rate = "):

@@ -538,6 +538,39 @@ def test_a_motion_from_a_file_is_the_curve_through_its_samples(rig, tmp_path):
         table(x=t)
 
 
+def test_a_cylinder_that_moves_alone_has_the_law_that_is_named_for_it(rig, tmp_path):
+    own = 'kind = "arc"\n[controller.cylinders.press]\nkind = "position"\n'
+    named = TOML.replace("[motion]", '[motion]\ncylinder = "press"')
+    (law,) = prepare(closed(tmp_path, own, named), rig).loop.laws
+    assert law.law.name == "position"
+
+
+@pytest.mark.parametrize("place", ["250 mm", "150 mm", "195 mm", None])
+def test_a_motion_begins_where_its_cylinder_stands(rig, tmp_path, place):
+    """Without a jump, and no faster than the motion itself."""
+    t = np.arange(201) * 0.01
+    x = 0.2 + 0.02 * (1.0 - np.cos(np.pi * t))  # 63 mm/s, 0.2 m/s², 0.62 m/s³ at most
+    write_log(tmp_path / "m.mcap", Record(t, {"press.x_desired": x}))
+    posture = "" if place is None else f'posture = {{ press = "{place}" }}\n'
+    text = f'{OPEN}{posture}[motion]\nkind = "file"\nfile = "m.mcap"\n[controller]\n'
+    prepared = prepare(closed(tmp_path, 'kind = "open_loop"', text), rig)
+    table = prepared.loop.references.table
+    begins = 0.2 if place is None else float(place.split()[0]) * 1e-3
+    assert float(prepared.first_rows(prepared.machine).sample[2]) == pytest.approx(begins)
+    assert table[0, 0] == pytest.approx(begins, abs=1e-12)
+    assert table[2000, 0] == pytest.approx(0.2, abs=1e-6) and len(table) == 2001
+    alone = table_of(rig, closed(tmp_path, 'kind = "open_loop"', text.replace(posture, "")))
+    way = table - alone.table
+    assert (np.abs(way[:, 1:]).max(axis=0) <= [0.0629, 0.198, 0.63]).all()
+    for order in range(2):  # each column is the integral of the next, by trapezoids
+        rises = 0.5e-3 * np.cumsum(way[1:, order + 1] + way[:-1, order + 1])
+        np.testing.assert_allclose(way[1:, order], way[0, order] + rises, atol=1e-6)
+    notes = [note for note in prepared.notes if note.key == "trial.off_start"]
+    assert len(notes) == (place is not None)
+    for note in notes:
+        assert note.fields["apart"] == f"{1e3 * abs(begins - 0.2):.4g} mm"
+
+
 def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path):
     tuned = {"cylinder": "press", "feedback_gain": {"extend_resistive": 3e-12}, "washout": 5.0}
     tuned |= {"off_gain": 2e-12, "low_pressure": 3e5, "cross_drop": 4e5}

@@ -475,24 +475,17 @@ class TrialRecipe(AnyTrial):
             refuse_unmatched(self.controller, (self.motion,))
         return self
 
-    def singles(self, along: Mapping[str, float] | None = None) -> tuple[TrialRecipe, ...]:
-        """This trial for each of its cylinders alone, as its motions and controllers say; on a path
-        ``along`` is the stroke [m] at which each of them starts.
+    def singles(self, starts: Mapping[str, float]) -> tuple[TrialRecipe, ...]:
+        """This trial for each of its cylinders alone, as its motions and controllers say; they
+        stand at the strokes ``starts`` [m] where the posture does not say otherwise.
         """
         controller, motion = self.controller, self.motion
         if controller is None or motion is None:
             return (self,)
-        each, posture = motion.each, self.posture
-        if along is not None:
-            each = tuple(motion.model_copy(update={"cylinder": name}) for name in along)
-            posture = self.posture | {name: f"{x!r} m" for name, x in along.items()}
-        elif motion.also:
-            starts = {
-                item.cylinder: f"{float(item.waypoints[0])!r} m"
-                for item in each
-                if item.cylinder is not None and item.waypoints
-            }
-            posture = starts | self.posture
+        each = motion.each
+        if motion.kind == "path":
+            each = tuple(motion.model_copy(update={"cylinder": name}) for name in starts)
+        posture = {name: f"{x!r} m" for name, x in starts.items()} | self.posture
         laws = [controller.of(item.cylinder or "") for item in each]
         return tuple(
             self.model_copy(update={"motion": item, "controller": law, "posture": posture})

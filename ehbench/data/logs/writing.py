@@ -139,19 +139,29 @@ class LogWriter:
         self, meta: dict[str, str], attachments: dict[str, bytes], losses: Sequence[str]
     ) -> None:
         """Write what stands before the samples."""
-        from mcap.records import Attachment, AttachmentIndex, Header, Metadata, MetadataIndex
+        from mcap.records import Header, Metadata, MetadataIndex
 
         self._write(MAGIC + pack(Header("ros2", "ehbench")))
-        facts = {"channels": self.channels, "losses": list(losses), "meta": meta}
+        self._facts = {"channels": self.channels, "losses": list(losses), "meta": meta}
         offset = self._offset
         self._metadata = MetadataIndex(
             offset, self._write(pack(Metadata("ehbench", meta))), "ehbench"
         )
-        for name, data in {FACTS: json.dumps(facts, indent=1).encode(), **attachments}.items():
-            kind = _MEDIA.get(Path(name).suffix, "application/octet-stream")
-            offset = self._offset
-            length = self._write(pack(Attachment(0, 0, name, kind, data)))
-            self._attachments.append(AttachmentIndex(offset, length, 0, 0, len(data), name, kind))
+        self._attach(FACTS, json.dumps(self._facts, indent=1).encode())
+        for name, data in attachments.items():
+            self._attach(name, data)
+
+    def _attach(self, name: str, data: bytes) -> None:
+        from mcap.records import Attachment, AttachmentIndex
+
+        kind, offset = _MEDIA.get(Path(name).suffix, "application/octet-stream"), self._offset
+        length = self._write(pack(Attachment(0, 0, name, kind, data)))
+        self._attachments.append(AttachmentIndex(offset, length, 0, 0, len(data), name, kind))
+
+    def lose(self, what: str) -> None:
+        """Say what is missing from now on: the facts are written once more, and the last count."""
+        self._facts["losses"].append(what)
+        self._attach(FACTS, json.dumps(self._facts, indent=1).encode())
 
     def __enter__(self) -> Self:
         return self
