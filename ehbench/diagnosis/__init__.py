@@ -181,10 +181,11 @@ class _Search:
             return False, *fault.rank, -gain
 
         shown = sorted((f for f, gain in gains.items() if gain >= NEAR * best), key=place)
+        beside = self._additional(shown[:1], reached[shown[0]][2], slopes)
+        shown, additional = [f for f in shown if f not in beside], [*beside.values()]
         results = [self._finding(fault, reached[fault][0], gains[fault]) for fault in shown]
         alike = tuple(fault.name for fault in shown[1:MOST] if not place(fault)[0])
         results[0] = replace(results[0], alike=alike)
-        additional = self._additional(shown, reached[shown[0]][2], slopes)
         if additional:
             pair = (results[0], *additional)
             both = sum(item.explains for item in pair)
@@ -317,19 +318,19 @@ class _Search:
 
     def _additional(
         self,
-        shown: Sequence[Hypothesis],
+        taken: Sequence[Hypothesis],
         left: list[np.ndarray],
         slopes: dict[Hypothesis, list[np.ndarray] | None],
-    ) -> list[Finding]:
-        """What explains most of what the best fault leaves, if something does."""
-        now, rest = total(left), [fault for fault in slopes if fault not in shown]
+    ) -> dict[Hypothesis, Finding]:
+        """What explains most of what the best fault, taken, leaves, if something does."""
+        now, rest = total(left), [fault for fault in slopes if fault not in taken]
         promises = {fault: self._promise(fault, slopes[fault], left) for fault in rest}
         best = max(promises, key=lambda fault: promises[fault][0], default=None)
         if best is None:
-            return []
+            return {}
         gain, delta = promises[best]
         counts = gain > BESIDE * now and self._counts(gain, now)
-        return [self._finding(best, delta, gain)] if counts else []
+        return {best: self._finding(best, delta, gain)} if counts else {}
 
     def _finding(self, fault: Hypothesis, delta: float, gain: float) -> Finding:
         rig = self.cases[0].model.rig

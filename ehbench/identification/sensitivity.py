@@ -522,6 +522,7 @@ def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:
         name, fixed = ", ".join(alike) or item.name, rig.shown(shown, item.here, 4)
         return message("identification.number_fixed", name=name, fixed=fixed, **fields)
     timed = word in ("lag", "delay")
+    channel = ", ".join(name for name, _, _ in row.readings) or channel
     fields |= {"channel": channel, "word": word, "value": item.there * (1e3 if timed else 1.0)}
     fields["half"] = Z95 * item.std * (1e3 if timed else 1.0)
     if timed:

@@ -41,7 +41,7 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
             states[:, names.state(key, i)] = record[f"{name}.{key}"]
     channels = [*(f"{name}.command" for name in names.valves), *names.played]
     commands = np.stack([record[channel] for channel in channels], axis=1)
-    commands = np.ascontiguousarray(commands, dtype=float)
+    commands = model.played(np.ascontiguousarray(commands, dtype=float))
     for name, valve in zip(names.valves, plant.valves, strict=True):
         if valve.output >= 0:
             states[:, valve.output] = record[f"{name}.opening"]

@@ -120,6 +120,7 @@ def drop_for(flow: float, row) -> float:
 
 
 FAULTS = (
+    Fault("bulk modulus", ("bulk_modulus",), rank=4),
     Fault("volume", ("volume",), step=0.05, rank=5),
     Fault("line", ("resistance",), step=0.1, rank=5),
     Fault("line", ("orifice_gain",), step=0.05, rank=5),

@@ -278,6 +278,13 @@ class Model:
         ]
         return record.table((*rest, *((channel, None) for channel in self.layout.played)))
 
+    def played(self, table: np.ndarray) -> np.ndarray:
+        """A table of `commands_of` in which forces, readings on straight lines, have their mean
+        until the next sample: held, they would come half a sample late, which undamps a stop."""
+        forces = table[:, len(self.layout.valves) :]
+        forces[:-1] = 0.5 * (forces[:-1] + forces[1:])
+        return table
+
     def rest_samples(self, commands: np.ndarray) -> int:
         """Samples before a command [V], shape (samples, valves or more), changes; at least one."""
         commands = commands[:, : len(self.layout.valves)]
@@ -477,7 +484,7 @@ class Model:
             LogError: uneven time."""
         if not record.even:
             raise LogError(message("plant.uneven"))
-        table = self.commands_of(record)
+        table = self.played(self.commands_of(record))
         late = late_of(record, self.layout.valves)
         plant = self.plant.at_pressures(start.supply, start.tank).commanded_before(table[0], late)
         if not tied_words(record) and not supplied(record):
@@ -585,5 +592,6 @@ def simulate(
             fields = {"name": name, "count": np.shape(values)[0], "samples": samples}
             raise InputError(message("plant.command_length", **fields))
         table[:, columns.index(name)] = values
-    log = model.run(model.trim(model.posture(posture), None, table[0]), table, 1.0 / rate, step)
+    first = model.trim(model.posture(posture), None, table[0])
+    log = model.run(first, model.played(table.copy()), 1.0 / rate, step)
     return model.record(t, table, log, {"rig": rig.name, "payload": payload or "none"})

@@ -199,7 +199,8 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
         known, level = float(rig.parameters()[name]), float(simulated[channel][0])
         share = SETTINGS.slack if channel == "p_tank" else SETTINGS.supply_off
         allowed = share * float(rig.supply.pressure)
-        if channel == "p_supply" and np.max(record[channel]) - level > allowed:
+        reached = level if supplied(record) else simulated[channel]  # oil flows back, too
+        if channel == "p_supply" and np.percentile(record[channel] - reached, 99.0) > allowed:
             continue  # no level of its own: it goes with the load
         if abs(level - known) > allowed:
             shown = rig.shown(channel, level)

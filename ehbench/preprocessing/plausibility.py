@@ -435,14 +435,14 @@ def constant_lines(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on strokes mostly outside their cylinders' range: turned, or from another zero."""
+    """Notes on strokes that leave their cylinders' range: turned, or from another zero."""
     unit, slack = rig.unit_of("x"), SETTINGS.travel
     for cylinder in rig.cylinder:
         channel, stroke = f"{cylinder.name}.x", float(cylinder.stroke)
         if channel not in record:
             continue
-        low, middle, high = np.percentile(record[channel], (0.0, 50.0, 100.0))
-        if -slack * stroke <= middle <= (1.0 + slack) * stroke:
+        low, least, most, high = np.percentile(record[channel], (0.0, 1.0, 99.0, 100.0))
+        if -slack * stroke <= least and most <= (1.0 + slack) * stroke:
             continue
         ends = (from_si(float(end), unit, VOCABULARY["x"]) for end in (low, high, stroke))
         first, last, largest = (f"{end:.4g}" for end in ends)

@@ -92,7 +92,7 @@ def remedy_step(remedy: str) -> Message:
     if getattr(remedy, "key", "") == "faults.fitted":
         return message("steps.fit_again", names=getattr(remedy, "fields", {})["names"])
     if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", remedy):
-        return message("steps.sense", line=sensed[1].replace(", ", "\n"))
+        return message("steps.sense", line=re.sub("[,;] |(?<=]) ", "\n", sensed[1]))
     if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):
         return message("steps.write", line=written[1], where=written[2])
     if exchanged := re.match(r"exchange (\S+ and \S+) in the map of columns", remedy):

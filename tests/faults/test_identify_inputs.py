@@ -632,7 +632,10 @@ def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
     assert said(x) == ""
     assert "runs from -200 to -150 mm, and the stroke from 0 to 400 mm" in said(-x)
     assert "counted the other way? Write sign = -1" in said(-x)
-    assert "from where is it counted? Write neutral" in said(x + 1.0)
+    assert "from where is it counted" in said(x + 1.0)
+    past = said(np.append(x[:-5], np.full(5, 0.42)))  # at its end, by a longer stroke
+    assert "runs from 150 to 420 mm" in past and "is the stroke another?" in past
+    assert said(np.append(x[:-5], np.full(5, 0.407))) == ""
 
 
 @pytest.mark.parametrize(

@@ -187,6 +187,10 @@ def test_a_supply_that_rises_with_the_load_has_no_level():
         seen = replace(record, channels=record.channels | given)
         notes = supply_off(seen, model.replay(seen), machine)
         assert [note.key for note in notes if note.key.endswith("level_off")] == keys
+    level = 0.9 * float(machine.supply.pressure)
+    jolt = {"p_supply": level * (1.0 + 0.1 * np.exp(-(((record.t - 0.3) / 0.05) ** 2)))}
+    seen = replace(record, channels=record.channels | jolt)  # oil comes back, in the model too
+    assert [note.key for note in supply_off(seen, seen, machine)] == ["preprocessing.level_off"]
 
 
 def written(line: str) -> float:

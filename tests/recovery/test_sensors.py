@@ -1,6 +1,7 @@
 """Sensors that are off, slow or turned, and drivers whose zero is not zero: what is known of them
 is taken out, what is not is estimated with the parameters, which stay right."""
 
+import tomllib
 from dataclasses import replace
 from functools import cache
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import tomli_w
 from pydantic import ValidationError
+from scipy.signal import lfilter
 
 from ehbench import workflow
 from ehbench.config.recipe import Sensor
@@ -18,8 +20,9 @@ from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.preprocessing.sensors import lagged
 from ehbench.report import terminal
+from ehbench.report.content import remedy_step
 from ehbench.runs.rundir import read_json
-from ehbench.validation import prepare_validation, run_validation
+from ehbench.validation import prepare_validation, run_validation, validate_rig
 from ehbench.vocabulary.errors import InputError
 from tests.shared import RIGS, judged, shipped
 
@@ -214,3 +217,16 @@ def test_a_gauge_against_the_pressures_beside_it_is_told(word, made):
 
     assert not told(force)
     assert f"press.{word} falls" in told(-force)[0] and "sign = -1" in told(-force)[0]
+
+
+def test_a_lag_that_both_pressures_share_is_named_and_its_lines_are_toml():
+    """The bridge amplifier's RC filter of 8 ms, as its difference equation has it."""
+    slow = lambda y: lfilter([1.0 - (a := np.exp(-1.0 / 8.0))], [1.0, -a], y, zi=[a * y[0]])[0]
+    logs = spoilt(press__p_head=slow, press__p_rod=slow)
+    verdict = validate_rig(rig().with_values(TRUE), logs)
+    first = verdict.structure.findings[0]
+    assert (verdict.verdict, first.kind) == ("accepted with reservation", "sensor lag")
+    assert first.size == pytest.approx(8e-3, rel=0.1)
+    lines = tomllib.loads(remedy_step(first.remedy).hint)["sensor"]
+    estimate = {"lag": "estimate"}
+    assert lines == [{"channel": f"press.p_{end}"} | estimate for end in ("head", "rod")]

@@ -288,7 +288,9 @@ def test_a_number_at_its_bound_but_for_rounding_stands_there(off, stands):
 def test_a_denied_number_is_told_with_its_interval():
     moved = tuple(Stub(name="bulk_modulus", there=9e8, here=8e8, halves=n) for n in (2.5, 0.5))
     fit: Any = Stub(simulator=Stub(rig=shipped("slide_servo")))
+    both = "press.p_head, press.p_rod"
     row: Any = Stub(parameters=("carriage.mass",), name="load of press", certainty=3, numbers=())
+    row.readings = tuple((name, "lag", 1.0) for name in ("press.p_head", "press.p_rod"))
     for name, key, value, half in (
         ("carriage.mass", "number_fixed", "27", 1.96 * 20.0),
         ("press.v.lag", "time_fixed", 270.0, 1.96e3 * 0.02),
@@ -302,6 +304,7 @@ def test_a_denied_number_is_told_with_its_interval():
         width = str(text.fields["half"]).partition(" ")[0]
         assert float(width) == pytest.approx(half, rel=0.02 if key == "number_fixed" else 1e-4)
         shown = text.fields["value"]
+        assert text.fields.get("channel", both) == both
         assert shown.startswith(value) if isinstance(value, str) else shown == pytest.approx(value)
     zero: Any = Lean("press.x.offset", 0.0, 0.01, 1e-4, 0.3, moved, "free it")
     fields = _sentence(fit, row, zero).fields

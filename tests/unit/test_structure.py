@@ -420,13 +420,13 @@ def test_beside_the_best_fault_stands_what_explains_most_of_the_rest():
     left = 10.0 * U + 9.0 * V + 12.0 * W
     search = search_of(left)
     slopes = {WEAK: [U], FAR: [W], BOTH: [V + W], BOUND: None}
-    ((fault, size, gain),) = search._additional([], [left], slopes)
+    ((fault, size, gain),) = search._additional([], [left], slopes).values()
     assert fault is BOTH and size == -9.0  # its bound
     assert gain == pytest.approx(225.0 - (0.0 + 9.0))
-    ((fault, _, gain),) = search._additional([BOTH], [left], slopes)
+    ((fault, _, gain),) = search._additional([BOTH], [left], slopes).values()
     assert fault is FAR and gain == pytest.approx(144.0 - 9.0)
-    assert search._additional([BOTH, FAR], [8.0 * U + 20.0 * V], slopes) == []  # a seventh
-    assert search._additional([BOTH, FAR, WEAK], [left], slopes) == []
+    assert search._additional([BOTH, FAR], [8.0 * U + 20.0 * V], slopes) == {}  # a seventh
+    assert search._additional([BOTH, FAR, WEAK], [left], slopes) == {}
 
 
 def test_a_slope_is_a_difference_to_the_side_that_the_bounds_allow(monkeypatch):
@@ -853,6 +853,15 @@ def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_thir
     slopes = {fault("sensor", 1): along(0.99), rows[0]: along(1.0), rows[1]: along(0.98)}
     found, _ = searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
     assert [name for name, _, _ in found] == ["assumed", "sensor"]
+
+
+def test_two_faults_that_explain_apart_are_no_alternatives(monkeypatch):
+    """Each half of the squares, and nothing of the other half."""
+    left, slopes = 8.9 * U + 8.5 * V, {WEAK: U, FAR: V}
+    first, second = linear(left, slopes, monkeypatch)[0]
+    assert (first.about, second.about, first.alike) == ("weak", "far", ())
+    assert first.jointly == second.jointly == pytest.approx(79.21 + 72.25)
+    assert second.size == pytest.approx(-8.5)
 
 
 def test_quiet_residuals_are_asked_by_slopes_alone(monkeypatch):

@@ -43,10 +43,11 @@ from ehbench.preprocessing.observations import least_change, payload_of, positio
 __all__ = ["TABLE", "Hypothesis", "hypotheses"]
 
 # δ of an offset counts spreads of the channel, or largest commands; that of a sign is -2
+LAG = Fault("sensor lag", ("lag",), "second", 0.002, 0.0, 0.1, rank=5)
 SENSORS = (
     Fault("sensor offset", ("offset",), "spread", low=-3.0, high=3.0, rank=4),
     Fault("sensor scale", ("scale",), "unit", low=-0.7, high=2.0, rank=5),
-    Fault("sensor lag", ("lag",), "second", 0.002, 0.0, 0.1, rank=5),
+    LAG,
     Fault("sensor sign", ("scale",), "unit", 0.0, -2.0, 0.0, (-2.0,), rank=6),
 )
 COMMANDS = (
@@ -197,6 +198,12 @@ class _Rows:
                 shown = direct or seen.partition(".")[0] in linked
                 for fault in SENSORS[0 if shown else 1 :]:
                     yield self._reading(fault, seen, scales, seen)
+        for owner in self.cylinders:  # whose amplifiers have one filter
+            ends = [f"{owner.name}.{word}" for word in ("p_head", "p_rod")]
+            if all(end in log for end in ends for log in self.records) and {*ends} <= {*channels}:
+                readings = tuple((end, "lag", 1.0) for end in ends)
+                about = f"{owner.name}.p_head+p_rod"
+                yield Hypothesis(LAG, about, readings=readings, cylinder=owner.name)
 
     def _reading(self, fault: Fault, channel: str, scales: Scales, about: str) -> Hypothesis:
         owner = channel.rpartition(".")[0].partition(".")[0]

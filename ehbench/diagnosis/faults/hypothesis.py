@@ -242,8 +242,8 @@ class Hypothesis:
         """What a fault of size δ is, and how it shows."""
         name = self.kind.replace(" ", "_")
         signed = f"{name}_{'more' if delta > 0.0 else 'less'}"
-        key = f"faults.{signed if signed in templates('faults') else name}"
-        return message(key, **self._fields(rig, delta))
+        key = signed if signed in templates("faults") else name
+        return message(f"faults.{key}", **self._fields(rig, delta))
 
     def remedy(self, rig: Rig, delta: float) -> Message:
         """The line of the recipe, the rig file or the map of columns that frees it or puts it
@@ -259,8 +259,11 @@ class Hypothesis:
             lines = "; ".join(block).replace("# in ", "").replace("\n", " ")
             return message("faults.add_lines", lines=lines, block="\n".join(block))
         if self.edits or not self.numbers:
-            key = "turn_sensor" if self.kind.endswith("sign") else "free_sensor"
-            return message(f"faults.{key}", **fields)
+            given = (
+                "sign = -1" if self.kind.endswith("sign") else f'{fields["word"]} = "{ESTIMATE}"'
+            )
+            lines = [f'[[sensor]] channel = "{name}", {given}' for name, _, _ in self.readings]
+            return message("faults.free_sensor", lines="; ".join(lines))
         if all(number.sure == "identified" for number in self.numbers):
             return message("faults.fitted", **fields)
         return message("faults.free", **fields)
