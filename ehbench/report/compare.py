@@ -156,9 +156,7 @@ def _shift_table(rig: Rig | None, shifts: Sequence[Mapping[str, Any]]) -> Grid:
 
 
 def _change_table(what: str, changes: Sequence[Change]) -> Grid:
-    rows = [[row["what"], *(_abbreviated(row[k]) for k in ("first", "second"))] for row in changes]
+    short = re.compile("(?<=^[0-9a-f]{8})[0-9a-f]{56}$")  # the rest of a digest
+    ends = ([short.sub("", row[k]) or DASH for k in ("first", "second")] for row in changes)
+    rows = [[row["what"], *texts] for row, texts in zip(changes, ends, strict=True)]
     return Grid([what, "first", "second"], rows)
-
-
-def _abbreviated(text: str) -> str:
-    return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or DASH

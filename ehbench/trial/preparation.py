@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -398,7 +398,11 @@ def prepare(
     t = np.arange(_length(recipe, rig, loop)) / float(recipe.rate)
     table = command_table(recipe, rig, t, () if loop is None else loop.valves)
     machine = open_machine(recipe, rig, maps)
-    _refuse_unknown_pressures(recipe, machine)
+    known = [name for name in machine.channels if name.rsplit(".", 1)[-1].startswith("p_")]
+    for name in recipe.first_pressure_error:
+        if name not in known:
+            problem = message("trial.unknown_pressure", name=name, known=", ".join(known))
+            raise InputError(problem, **recipe.at("first_pressure_error", name))
     payloads = _payloads(recipe, machine, t)
     model = Model.of(rig, maps) if loop is None else loop.design.model
     limits = limit_array(recipe.limits, rig, t[1])
@@ -413,37 +417,21 @@ def prepare(
 
 
 def _notes(prepared: Prepared, model: Model) -> tuple[str, ...]:
-    """What is said of a trial's controllers, and of loads on its way that the supply cannot
-    carry."""
+    """What is said of a trial's controllers, of cylinders far off the start of their motion, and
+    of loads on its way that the supply cannot carry."""
     loop, loads = prepared.loop, (prepared.recipe.payload, *prepared.payloads.values())
     q = model.posture(prepared.posture)[None] if loop is None else joints_of(loop.driven)[0]
-    notes = () if loop is None else (*loop.notes, *_off_their_starts(loop))
+    notes = () if loop is None else loop.notes
+    for item in () if loop is None else loop.driven:
+        motion = item.references
+        if motion.way > MOTION.speed_up:  # which takes as long as it takes to full speed
+            apart = item.design.rig.shown("x", abs(motion.apart))
+            given = {"cylinder": item.cylinder, "apart": apart, "seconds": motion.way}
+            notes += (message("trial.off_start", **given),)
     for load in dict.fromkeys(loads):
         loaded = Model.of(prepared.rig, prepared.maps, load)
         notes += tuple(loaded.weak_supply(load, q[:: max(1, len(q) // PLACES)]))
     return notes
-
-
-def _off_their_starts(loop: Loop) -> Iterator[Message]:
-    """What is said of cylinders that stand so far off the start of their motion that the way there
-    takes as long as it takes to full speed."""
-    for item in loop.driven:
-        motion = item.references
-        if motion.way > MOTION.speed_up:
-            apart = item.design.rig.shown("x", abs(motion.apart))
-            given = {"cylinder": item.cylinder, "apart": apart, "seconds": motion.way}
-            yield message("trial.off_start", **given)
-
-
-def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
-    """Refuse a first pressure of a sensor that the machine lacks."""
-    known = [name for name in machine.channels if name.rsplit(".", 1)[-1].startswith("p_")]
-    for name in recipe.first_pressure_error:
-        if name not in known:
-            raise InputError(
-                message("trial.unknown_pressure", name=name, known=", ".join(known)),
-                **recipe.at("first_pressure_error", name),
-            )
 
 
 def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int, str | None]:
@@ -476,6 +464,11 @@ def _length(recipe: TrialRecipe, rig: Rig, loop: Loop | None) -> int:
 
     Raises:
         InputError: fewer than two; more than any memory holds, or that would compute for hours."""
+    tick, after = 1.0 / float(recipe.rate), 0
+    parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
+    waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
+    if recipe.limits != type(recipe.limits)():
+        after = round((float(recipe.limits.ramp) + RUN_OUT) / tick)
     with placed(recipe.at("duration")):
         if loop is not None:
             count = len(loop.references.table)
@@ -484,25 +477,14 @@ def _length(recipe: TrialRecipe, rig: Rig, loop: Loop | None) -> int:
             count = rows_of(float(recipe.duration), float(recipe.rate)) + 1
         if count < 2:
             raise InputError(message("trial.too_short"))
-        _refuse_endless(recipe, rig, count)
+        needed = 8.0 * (count + after) * (_ROW + _EACH * parts + 3 * waves)
+        refuse_beyond(needed, message("trial.trial_of", count=count + after))
+        step = tick if recipe.step == "auto" else min(tick, float(recipe.step))
+        steps = (count + after) * tick / step
+        if steps > MOST_STEPS:
+            fields = {"steps": steps, "step": step, "maximum": MOST_STEPS}
+            raise InputError(message("trial.too_many_steps", **fields))
     return count
-
-
-def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
-    """Refuse a trial that no memory holds, or that would compute for hours."""
-    parts = len(rig.cylinder) + sum(1 for _ in rig.valves()) + sum(1 for _ in rig.edges())
-    waves = sum(entry.lines for entry in recipe.command if entry.kind == "multisine")
-    if recipe.limits != type(recipe.limits)():
-        count += round((float(recipe.limits.ramp) + RUN_OUT) * float(recipe.rate))
-    needed = 8.0 * count * (_ROW + _EACH * parts + 3 * waves)
-    refuse_beyond(needed, message("trial.trial_of", count=count))
-    tick = 1.0 / float(recipe.rate)
-    step = tick if recipe.step == "auto" else min(tick, float(recipe.step))
-    steps = count * tick / step
-    if steps > MOST_STEPS:
-        raise InputError(
-            message("trial.too_many_steps", steps=steps, step=step, maximum=MOST_STEPS)
-        )
 
 
 def _loop(
