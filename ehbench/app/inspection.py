@@ -163,7 +163,7 @@ def _rig(path: Path) -> Inspection:
         notes.append(message("stages.fmu_is_code", fmu=rig.model.fmu))
     for name, value in rig.parameters().items():
         row = quantity(name)
-        if value.text is not None and not row.usual[0] <= float(value) <= row.usual[1]:
+        if value.text is not None and not row.ordinary(float(value)):
             shown = dict(zip(("low", "value", "high"), (row.usual[0], float(value), row.usual[1])))
             fields = {key: value.like(row.name, number) for key, number in shown.items()}
             fits = fitting(float(value), value.unit or row.unit, row)
@@ -214,7 +214,7 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[Message]]:
             text += f", creeping {direction} at {rig.shown('v', abs(speed), 2)}"
         for what, row, value in abilities(model, index):
             text += f"; {what} {rig.shown(row.name, value)}"
-            if not row.usual[0] <= value <= row.usual[1]:
+            if not row.ordinary(value):
                 fields = {"cylinder": cylinder.name, "load": load or "no payload", "what": what}
                 low, high = (rig.shown(row.name, end) for end in row.usual)
                 fields |= {"value": rig.shown(row.name, value), "low": low, "high": high}

@@ -24,7 +24,7 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import noise_of, read_off, supply_off
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
-from ehbench.vocabulary import InsufficientData, Message, message, setting
+from ehbench.vocabulary import InsufficientData, Message, message, quantity, setting
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import of_log
 from ehbench.vocabulary.quantities import GAUGES
@@ -362,7 +362,8 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
 def _statuses(
     fitted: Sequence[FittedParameter], simulator: Simulator, told: Sequence[str] = ()
 ) -> list[str]:
-    """A warning of each parameter that is not excited or at a bound, if it is not ``told``."""
+    """A warning of each parameter that is not excited, at a bound if it is not ``told``, or that no
+    ordinary rig has."""
     warnings, rig = [], simulator.rig
     records = [log.record for log in simulator.logs]
     notes = (text for text in told if isinstance(text, Message))
@@ -378,6 +379,9 @@ def _statuses(
             shut = item.name.endswith(".deadband") and item.value == 0.0
             key = "identification.closed_deadband" if shut else "identification.at_bound"
             warnings.append(message(key, side="lower" if is_low else "upper", **fields))
+        elif item.status == "estimated" and not quantity(item.name).ordinary(item.value):
+            low, high = (rig.shown(item.name, end) for end in quantity(item.name).usual)
+            warnings.append(message("identification.unusual", low=low, high=high, **fields))
     return warnings
 
 

@@ -49,6 +49,10 @@ class Quantity:
         """Which values [SI] lie in the range; what is not a number does not."""
         return (self.lower <= values) & (values <= self.upper)
 
+    def ordinary(self, value: float) -> bool:
+        """Whether an ordinary rig has a value [SI]."""
+        return self.usual[0] <= value <= self.usual[1]
+
 
 def _rows() -> Iterator[Quantity]:
     """The rows of ``quantities.csv``; without ``display`` the unit, without bound none."""

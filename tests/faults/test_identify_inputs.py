@@ -306,6 +306,23 @@ def test_where_one_parameter_limits_another_the_fit_ends_at_the_limit(freed):
     assert "friction_static: must not lie below friction_coulomb" in note.fields["reason"]
 
 
+@pytest.mark.parametrize(("modulus", "odd"), [("30 MPa", True), ("300 MPa", False)])
+def test_an_oil_that_no_machine_has_is_named(modulus, odd):
+    known = shipped("slide_servo")
+    oil = known.oil.model_copy(update={"bulk_modulus": Value(1e6 * float(modulus[:-4]), "MPa")})
+    log = logged(known.model_copy(update={"oil": oil}), "press.servo", (3.0, -3.0), samples=701)
+    fit = identify(
+        known,
+        [("log", log)],
+        ["bulk_modulus"],
+        start={"bulk_modulus": 1e8},
+        lower={"bulk_modulus": 1e7},
+    )
+    assert fit["bulk_modulus"].value == pytest.approx(float(modulus[:-4]) * 1e6, rel=0.02)
+    notes = [note.fields for note in fit.warnings if note.key == "identification.unusual"]
+    assert [note["name"] for note in notes] == ["bulk_modulus"] * odd
+
+
 def test_a_turned_sensor_is_named():
     """One of three channels with its sign turned: the fit goes by the other two, and says so."""
     other = changed(crane(), lift_qd=-crane()["lift.qd"])

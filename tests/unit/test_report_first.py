@@ -257,6 +257,17 @@ def test_what_stood_at_an_end_of_its_range_is_doubtful_beside_what_a_fit_leans_o
         assert ("doubtful" in row) == doubtful
 
 
+@pytest.mark.parametrize(("value", "doubtful"), [(36e6, True), (360e6, False), (3.6e9, True)])
+def test_an_oil_that_no_machine_has_is_doubtful(folders, tmp_path, value, doubtful):
+    known = json.loads((folders[0] / "parameters.json").read_text())["parameters"]
+    known = [{**item, "value": value} if item["name"] == "bulk_modulus" else item for item in known]
+    told = terminal.answer(changed(folders[0], tmp_path / "fit", parameters=known)).lines(
+        200, whole=True
+    )
+    (row,) = [line for line in told if line.startswith("bulk_modulus ")]
+    assert ("doubtful" in row) == doubtful
+
+
 def test_a_sensitive_fit_gives_a_reservation(folders, tmp_path):
     reserves = {"accepted": True, "reasons": [], "reservations": [LEAN["sentence"]]}
     folder = changed(folders[1], tmp_path / "judged", **reserves)

@@ -27,7 +27,7 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.vocabulary import Z95, message
+from ehbench.vocabulary import Z95, message, quantity
 from ehbench.vocabulary.terms import BEYOND, CORRELATED, TOLD
 
 DOUBTFUL = "estimated, doubtful"  # as it is sensitive to a fixed number that the logs deny
@@ -260,12 +260,17 @@ def findings(run: Saved) -> content.Findings:
 
 
 def estimates_of(fit: Table) -> list[Table]:
-    """The parameters of a fit; doubtful ones are sensitive to a denied fixed number, or stood at an
-    end of their range beside it."""
+    """The parameters of a fit; doubtful ones are sensitive to a denied fixed number, stood at an
+    end of their range beside it, or are what no ordinary rig has."""
     moved = [item for fixed in fit.get("leans", []) for item in fixed["moved"]]
     far = {item["name"] for item in moved if item["halves"] > BEYOND}
     if far:
         far |= {item["name"] for item in fit["parameters"] if item.get("error_from") == "range"}
+    far |= {
+        item["name"]
+        for item in fit["parameters"]
+        if not quantity(item["name"]).ordinary(item["value"])
+    }
     return [
         parameter.having("status", DOUBTFUL)
         if parameter["name"] in far and parameter["status"] == "estimated"
