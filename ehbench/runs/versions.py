@@ -19,7 +19,7 @@ METHODS: Mapping[str, int] = {
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 5,
     "diagnosis": 16,
-    "validation": 14,
+    "validation": 15,
     "control": 4,  # controllers and their monitor
     "tuning": 6,
     "trial": 3,  # the loop and what is measured of it

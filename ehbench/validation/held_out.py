@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.data.record import Record
+from ehbench.diagnosis.recordings import STILL
 from ehbench.validation.results import Overlap
 from ehbench.vocabulary import MAD, setting
 
@@ -54,7 +55,8 @@ class FittedSamples(NamedTuple):
 def overlaps(
     record: Record, fitted: Sequence[FittedSamples], digest: str = ""
 ) -> tuple[Overlap, ...]:
-    """Where a record has the very samples that a model was fitted to, in the order of time.
+    """Where a record has the very samples that a model was fitted to, in the order of time; but for
+    those at a standstill, which tell nothing of a model: simulations of one seed share their noise.
 
     Args:
         record: evenly sampled.
@@ -68,6 +70,18 @@ def overlaps(
             results += _runs(record.t, within, rows)
         else:
             results += _overlaps(record, rows) or _same_noise(record, rows)
+    commands = [y for name, y in record.channels.items() if name.endswith(".command")]
+    moved = [y for name, y in record.channels.items() if name.endswith((".x", ".q"))]
+
+    def stands(run: Overlap) -> bool:
+        inside = (record.t >= run.start) & (record.t <= run.stop)
+        driven = np.any([y[inside] != y[inside][0] for y in commands], axis=0)
+        ways = [np.ptp(y[inside]) for y in moved]
+        still = max(ways) <= STILL * max(map(np.ptp, moved))
+        return bool(still and np.count_nonzero(driven) < SETTINGS.rows)
+
+    if commands and moved:
+        results = [run for run in results if not stands(run)]
     return tuple(sorted(results, key=lambda item: (item.start, item.log)))
 
 

@@ -86,6 +86,19 @@ def test_a_rounded_or_resampled_copy_is_no_other_log(log, rate, digits, late):
     assert not overlaps(part(Record(t, copy, log.meta), 2.0, 4.0), fitted), "another window"
 
 
+def test_a_standstill_with_the_noise_of_another_is_no_copy(log):
+    """Two simulations of one seed share it; a copy that begins with its standstill is one still."""
+    begins = float(log.t[np.flatnonzero(log["press.servo.command"] != 0.0)[0]])
+    other = {name: y.copy() for name, y in log.channels.items()}
+    rng = np.random.default_rng(3)
+    for name, y in other.items():
+        y[log.t >= begins] *= 1.3 if name.endswith("command") else rng.uniform(1.2, 1.4)
+    fitted = [rows_of(log)]
+    assert begins > 0.2 and overlaps(log, fitted)
+    assert not overlaps(Record(log.t, other, log.meta), fitted)
+    assert overlaps(part(log, 0.0, begins + 0.1), fitted)
+
+
 def test_a_log_is_seen_in_the_means_of_its_samples(log):
     """A fit of a fast log saves the means that it compared."""
     whole = log.t.size // 10 * 10
