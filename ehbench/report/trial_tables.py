@@ -26,8 +26,9 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     def relative(case: Case) -> float | None:
         """The energy of a trial over the least of its rivals."""
         rivals = groups[case.row["payload"], case.row["motion"], case.cylinder]
-        minimum = min((rival.row["energy"]["pump"] for rival in rivals if rival.fit), default=0.0)
-        return case.row["energy"]["pump"] / minimum if case.fit and minimum > 0.0 else None
+        known = [pump for rival in rivals if rival.fit and (pump := rival.row["energy"]["pump"])]
+        own = case.row["energy"]["pump"]
+        return own / min(known) if case.fit and own and min(known) > 0.0 else None
 
     tables.append(
         page.table(

@@ -56,7 +56,12 @@ def account(prepared: Prepared, result: Result, intervals: bool = True) -> Accou
                 prepared.rig, prepared.maps, record, payload=recipe.payload, accuracy=accuracy
             )
     except EhbenchError as error:
-        return Account(facts, None, (message("trial.no_ledger", problem=error.message),))
+        note = message("trial.no_ledger", problem=error.message)
+        unknown = dict.fromkeys(("pump", "cylinder_work", "oil_drawn"))
+        unknown |= {"source": note, "supply": prepared.rig.supply.kind}
+        if facts.cylinder:
+            facts = facts.with_energy(dict.fromkeys(facts.cylinders, unknown))
+        return Account(facts, None, (note,))
     limits = []
     if facts.cylinder:
         shared = {

@@ -1,6 +1,7 @@
 """Controllers closed over model and bench: every law, only its channels, limits, same bytes."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -508,6 +509,16 @@ def test_the_energies_of_a_trial_are_those_of_its_ledger(on):
     assert found["source"].startswith("edge flows" if on == "model" else "estimated")
     known = list(made.facts.measures)
     assert known.index("energy") == known.index("limits") - 1 and not made.notes
+
+
+def test_a_trial_of_a_machine_without_pressure_sensors_has_no_energies():
+    prepared = prepare(recipe(ARC, on="bench", bench=BENCH), ARM)
+    done = run(prepared)
+    known = {name: y for name, y in done.record.channels.items() if not name.endswith("p_rod")}
+    made = account(prepared, done._replace(record=replace(done.record, channels=known)))
+    assert made.ledger is None and [note.key for note in made.notes] == ["trial.no_ledger"]
+    found = made.facts.measures["energy"]
+    assert found["pump"] is None and found["cylinder_work"] is None and "p_rod" in found["source"]
 
 
 # --- sets

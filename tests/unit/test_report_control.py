@@ -24,6 +24,7 @@ from ehbench.report.figures.trial import (
 )
 from ehbench.report.saved import FigureIndex, Saved, Series, Table
 from ehbench.report.stages.tuning import findings, overshoot_of
+from ehbench.report.terminal import answer
 from ehbench.report.trial_captions import (
     ESTIMATES,
     compared_caption,
@@ -120,6 +121,18 @@ def test_keys_are_the_stable_ones(runs):
 @pytest.fixture(scope="module")
 def built(runs) -> str:
     return build(runs)
+
+
+def test_trials_of_a_machine_without_pressure_sensors_are_shown(tmp_path):
+    """They have no energy ledger; a page of two compares the rest."""
+    unknown = measures(0.0, 1e-4, [])
+    unknown["energy"] |= {"pump": None, "cylinder_work": None, "source": "no energy ledger"}
+    folders = [trial_run(tmp_path, name, measures=unknown) for name in ("arc", "again")]
+    for folder in folders:
+        draw(folder)
+    assert "the pump gave" not in answer(folders[0]).verdict
+    text = plain(build(folders))
+    assert "largest error 0.1 mm" in text and not re.search(r"\bNone\b|Undefined", text)
 
 
 def test_the_page_is_whole(runs, built):
