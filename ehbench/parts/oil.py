@@ -79,5 +79,5 @@ FAULTS = (
         table="air_fraction",
         adds={"air_fraction": Amount((0.005,), "unit")},
     ),
-    Fault("air", ("air_fraction",), step=0.1, wide=True, rank=5),
+    Fault("air fraction", ("air_fraction",), step=0.1, wide=True, rank=5),
 )

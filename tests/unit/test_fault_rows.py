@@ -9,6 +9,7 @@ import pytest
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
+from ehbench.vocabulary.fields import Value
 from tests.shared import shipped, slide
 
 T = np.arange(600) * 1e-3
@@ -154,6 +155,24 @@ def test_where_a_body_has_its_centre_is_asked_of_joints_and_what_they_carry():
         for row in hypotheses(slide(), ["press"], [], [Record(T, {"press.servo.command": LEVELS})])
     }
     assert "load" in kinds and not {"inertia", "centre of mass"} & kinds
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "keys"),
+    [
+        (None, "air", ["air", "air"]),
+        (0.02, "air fraction", ["air_fraction_less", "air_fraction_more"]),
+    ],
+)
+def test_free_air_is_asked_as_what_the_rig_file_has_of_it(given, kind, keys):
+    """None yet, or more or less than what is written."""
+    share = None if given is None else Value(given, "dimensionless")
+    rig = shipped("slide_servo")
+    rig = rig.model_copy(update={"oil": rig.oil.model_copy(update={"air_fraction": share})})
+    rows = hypotheses(rig, ["press"], [], [Record(T, {"press.servo.command": LEVELS})])
+    (row,) = [row for row in rows if row.kind.startswith("air")]
+    assert row.kind == kind
+    assert [row.sentence(rig, d).key for d in (-0.1, 0.1)] == [f"faults.{key}" for key in keys]
 
 
 def test_of_a_spool_whose_flows_are_measured_the_other_edge_is_asked():
