@@ -67,7 +67,7 @@ def reports(rows):
     trial = of(session.Session, user_code=None, end=rows, prepared=prepared, machine=ANY)
     trial._truth, trial._next_look = ANY, rows
     trial._through = lambda first, until: (-1, until)
-    trial._look = lambda _: None
+    trial._look = trial._log = lambda *_: None
     trial._run(None, lambda *_: told.append(1))
     return len(told)
 
@@ -93,9 +93,11 @@ def pace(seconds, done):
 def looks(speed):
     """Rows from one look at a machine that moves to the next; 0 where it stands."""
     rows = Stub(samples=np.full((500, 1), speed), sample=np.zeros(1), limits=np.full(99, 9.0))
-    rows.checks = Stub(stamp=np.zeros(5))
+    rows.checks, rows.t = Stub(stamp=np.zeros(5)), 1e-3 * np.arange(500)
     trial = of(session.Session, machine=Stub(channels=["a.v"]), rows=rows, stop=None, end=9999)
-    trial._stretch, trial._halted, trial.prepared = 100, 0, Stub(aftermath=lambda *_: None)
+    recipe = Stub(limits=Stub(ramp=0.05))
+    trial.prepared = Stub(aftermath=lambda *_: None, recipe=recipe)
+    trial._stretch, trial._halted = 100, 0
     trial._look(500)
     return trial._next_look - 500
 
