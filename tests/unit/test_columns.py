@@ -847,6 +847,7 @@ def test_columns_of_flow_are_readings_at_one_drop_or_command_each(by, tmp_path):
         *(("Flow Rate LPM", "L/min"), ("Q_lpm", "L/min"), ("flow cm3/s", "cm3/s")),
         *(("Q m³/h", "m³/h"), ("Boom rate deg/s", "deg/s"), ("gyro_rad/s", "rad/s")),
         *(("Gyro °/s", "deg/s"), ("Vorder rad", ""), ("swing deg/s2", "")),
+        *(("PT_head_psig", "psi"), ("p_A barg", "bar"), ("dp_psid", "")),
     ],
 )
 def test_a_name_ends_in_its_unit(name, unit):

@@ -22,7 +22,7 @@ from ehbench.vocabulary.errors import nearest
 from ehbench.vocabulary.text import numbered
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
-_PLAIN = "m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|deg(?:/s)?|rad/s|°(?:C|/s)?|m?m/s|rpm|dps"
+_PLAIN = "m?barg?|psig?|[kM]?Pa|[cm]m|m?V|mA|ms|deg(?:/s)?|rad/s|°(?:C|/s)?|m?m/s|rpm|dps"
 _PLAIN += r"|m?[lL]/min|[lL][pP][mM]|gpm|GPM|cm\^?[3³]/(?:s|min)|m\^?[3³]/h"
 _UNIT_LAST = (
     r"\[([^\[\]]*)\]\s*$",
