@@ -79,7 +79,7 @@ def cases_of(run: Saved) -> list[Case]:
     for cylinder, measures in {facts["cylinder"]: facts["measures"], **also}.items():
         about = {"case": run.title, "motion": "", "cylinder": cylinder}
         if also:
-            about["controller"] = f"{facts['controller']}, {cylinder}"
+            about["controller"] = f"{measures.get('law', facts['controller'])}, {cylinder}"
         row = Table({**facts, **measures, **about}, path)
         cases.append(Case(row, cylinder, run.folder / "log.mcap", run.folder / "ledger.json"))
     return cases

@@ -264,15 +264,10 @@ def compiled(
     names = law.channels(design.cylinder, design.edges)
     if chosen.monitor:
         names = (*names, f"{design.cylinder}.valve_fault")
-    return Compiled(
-        law,
-        controller,
-        names,
-        references,
-        np.empty((0, len(names))),
-        rules,
-        {**packed.used, "rules": numbers(rules, ALL_RULES)},
-    )
+    used = {**packed.used, "rules": numbers(rules, ALL_RULES)}
+    if "cylinders" in chosen.where:  # otherwise the controller's label says it
+        used["law"] = law.name
+    return Compiled(law, controller, names, references, np.empty((0, len(names))), rules, used)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:

@@ -268,6 +268,8 @@ acceleration = "8 m/s^2"
 
 [controller]
 kind = "arc"
+[controller.cylinders.stick]
+kind = "position"
 """
 
 
@@ -302,7 +304,7 @@ def test_a_run_tells_and_draws_the_tip(tmp_path, tip_alone):
     drawn = (outcome.folder / "figures" / figures["tip"]["file"]).read_text()
     assert all(word in drawn for word in ("From above", "travelled", "the pump's limit", "stick"))
     said = "\n".join(answer(outcome.folder).lines(120, whole=True))
-    assert "largest tip error" in said and "arc, boom" in said
+    assert "largest tip error" in said and "arc, boom" in said and "position, stick" in said
 
 
 # --- the tip of a mechanism, and the search for joint coordinates that bring it somewhere
