@@ -42,7 +42,7 @@ class Variable(NamedTuple):
         places: where its number stands, as members of the part's memory in C.
         start: its value before the first step [unit].
         unit: SI.
-        lower, upper: its range [unit]; a parameter takes no value beyond.
+        lower, upper: its range [unit]; an input or parameter takes no value beyond.
         about: meaning, and of a parameter its source and interval."""
 
     name: str

@@ -130,7 +130,7 @@ def described(part: Component, token: str, version: int) -> ElementTree.Element:
         about = {"name": item.name, "valueReference": str(number), "causality": item.role}
         about |= _KINDS[item.role] | {"description": item.about}
         values = _unit_key(item.unit) | {"start": repr(item.start)}
-        if item.role == "parameter":
+        if item.role != "output":
             bounds = {"min": item.lower, "max": item.upper}
             values |= {key: repr(end) for key, end in bounds.items() if math.isfinite(end)}
         if third:

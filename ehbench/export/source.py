@@ -135,8 +135,8 @@ def header(part: Component) -> str:
         f"void {name}_step({name} *self);",
         "/* the value of a variable; not a number where there is none */",
         f"double {name}_get(const {name} *self, int variable);",
-        "/* set an input or a parameter: 0 done; nothing changed: 1 no such, 2 not finite, or a",
-        "   parameter out of its range */",
+        "/* set an input or a parameter: 0 done; nothing changed: 1 no such, 2 not finite or out of",
+        "   its range */",
         f"int {name}_set({name} *self, int variable, double value);",
         "#ifdef __cplusplus", "}", "#endif", "#endif", "",
     ])  # fmt: skip
@@ -150,9 +150,7 @@ def body(part: Component, kernel: Kernels) -> str:
         raise c99.refuse(f"{name}: {kinds} for {kernel.kinds}")
     places = [place for item in part.variables for place in item.places]
     first = np.cumsum([0, *(len(item.places) for item in part.variables)]).tolist()
-    bounds = [
-        f"  {{{number(item.lower)}, {number(item.upper)}}}," for item in part.role("parameter")
-    ]
+    bounds = [f"  {{{number(item.lower)}, {number(item.upper)}}}," for item in part.variables]
     return "\n".join([
         f'#include "{name}.h"', "#include <stddef.h>", c99.HELPERS, kernel.source,
         f"static const {name} start = {{", "  0.0, 0,",
@@ -161,7 +159,7 @@ def body(part: Component, kernel: Kernels) -> str:
         "static const size_t place[] = {",
         *(f"  offsetof({name}, {place})," for place in places), "};",
         f"static const int first[] = {{{', '.join(map(str, first))}}};",
-        "static const double bounds[][2] = {", *(bounds or ["  {0, 0}"]), "};", "",
+        "static const double bounds[][2] = {", *bounds, "};", "",
         f"void {name}_init({name} *self) {{ *self = start; }}", "",
         f"void {name}_step({name} *self) {{",
         "  char result[64], problem[64];",

@@ -326,6 +326,7 @@ def test_a_unit_refuses_what_it_cannot_do(units):
         lambda: first.doStep(0.05, 0.0015),
         lambda: first.setReal([number["bulk_modulus"]], [float("nan")]),
         lambda: first.setReal([number["bulk_modulus"]], [-1.0]),
+        lambda: first.setReal([number["press.servo.command"]], [1e300]),
         lambda: first.setReal([number["press.x"]], [0.1]),
     ):
         with pytest.raises(Exception, match="status"):
