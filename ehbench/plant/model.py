@@ -179,6 +179,31 @@ class Model:
                 raise InputError(refusal) from None
             return float(joint_of(row, stroke))
 
+    def carrying_forces(self, q: np.ndarray, command: np.ndarray | None = None) -> np.ndarray:
+        """The forces of the pistons [N], extension positive, that carry the loads at rest at joint
+        coordinates ``q``, shape (cylinders,).
+
+        Args:
+            command: a row of commands and forces to play [N], by default none of these.
+
+        Raises:
+            SimulationError: a cylinder has no lever there, so no pressure holds the load."""
+        plant, names = self.plant, self.layout
+        torque = np.empty(len(names.joints))
+        gravity_torque(
+            plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(torque.size))
+        )
+        played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
+        forces = np.empty(len(names.cylinders))
+        for index, row in enumerate(plant.cylinders):
+            x, lever, _ = linkage_of(row, q[row.joint])
+            if abs(lever) < 1e-6:
+                raise SimulationError(message("plant.no_lever", cylinder=names.cylinders[index]))
+            forces[index] = torque[row.joint] / lever
+            if plant.forces.shape[0]:
+                forces[index] -= force_on(index, x, 0.0, played, plant)
+        return forces
+
     def trim(
         self, q: np.ndarray, low_side: LowSide = None, command: np.ndarray | None = None
     ) -> np.ndarray:
@@ -193,23 +218,14 @@ class Model:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
             InputError: ``low_side`` is no pressure."""
         plant, names = self.plant, self.layout
-        n = len(names.joints)
         y = np.zeros(names.states)
-        y[:n] = q
-        torque = np.empty(n)
-        gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
-        played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
-        for index, row in enumerate(plant.cylinders):
+        y[: len(names.joints)] = q
+        forces = self.carrying_forces(q, command)
+        for index, (row, force) in enumerate(zip(plant.cylinders, forces, strict=True)):
             name = names.cylinders[index]
             low = low_side.get(name) if isinstance(low_side, Mapping) else low_side
             if low is not None:
                 read_value(f"{low} Pa", VOCABULARY["p_head"])  # refuses no pressure
-            x, lever, _ = linkage_of(row, q[row.joint])
-            if abs(lever) < 1e-6:
-                raise SimulationError(message("plant.no_lever", cylinder=name))
-            force = torque[row.joint] / lever
-            if plant.forces.shape[0]:
-                force -= force_on(index, x, 0.0, played, plant)
             fixed = resting(plant, row, force) if low is None else carrying(row, force, low)
             y[names.state("p_head", index)], y[names.state("p_rod", index)] = fixed
         for valve, (_, item) in zip(plant.valves, self.rig.valves(), strict=True):
@@ -227,10 +243,8 @@ class Model:
             postures: joint coordinates [rad or m], shape (postures, joints)."""
         table, names = self.plant.cylinders, self.layout
         supply, tank = float(self.plant.supply.pressure), self.plant.tank_pressure
-        states = np.array([self.trim(q, 0.0) for q in postures])
-        for index, row in enumerate(table):
-            ends = [states[:, names.state(f"p_{side}", index)] for side in SIDES]
-            force = ends[0] * row.area_head - ends[1] * row.area_rod
+        forces = np.array([self.carrying_forces(q) for q in postures])
+        for index, (row, force) in enumerate(zip(table, forces.T, strict=True)):
             out, back = (
                 supply * a - tank * b for a, b in permutations((row.area_head, row.area_rod))
             )
