@@ -42,7 +42,7 @@ class Coordinate:
     lower: float
     upper: float
     prior: float = math.inf
-    centre: float = math.nan
+    centre: float = 0.0
     quantity: Quantity | None = None
 
     def at(self, theta: float) -> float:
