@@ -325,6 +325,8 @@ def checked_place(final: Path) -> Path:
         InputError: the path leads nowhere, or to what no run may replace."""
     try:
         place = final.resolve() if final.is_symlink() else final
+        if place.is_symlink():  # in a circle, which is no error for `resolve` of Python 3.13
+            place.stat()
         if Path.cwd().is_relative_to(place.resolve()):
             raise InputError(message("runs.current_folder"), file=final)
         _survey(place)
