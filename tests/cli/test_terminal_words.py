@@ -36,7 +36,7 @@ def place(slide_runs, boom_maps, tmp_path_factory) -> Path:
     [
         ("check", "recipes/rigs/thesis_arm.toml"),
         ("check", LOG),
-        ("check", "recipes/thesis/campaign.toml"),
+        ("check", "recipes/slide_servo/campaign.toml"),
         ("map", LOG, "--rig", "recipes/rigs/slide_servo.toml"),
         ("convert", LOG, "--to", "mat"),
         ("show", LOG),
