@@ -59,7 +59,6 @@ def test_each_command_is_short(words, place, inside, undrawn):
 NO_COMMAND = ("bench", "dataset")
 CHEAP = (
     *("slide_servo/response", "slide_servo/tuning", "slide_servo/arc_tuning"),
-    *("boom_four_valve/hydraulics", "boom_four_valve/validation"),
     *("studies/stopping_trial", "trials/arc_slow", "trials/velocity_steps"),
 )
 
