@@ -182,7 +182,7 @@ def test_a_fit_from_afar_has_the_truth_in_its_intervals(fitted, place):
     assert again.model is not None and again.model.place == (place / "fit" / "press.fmu").resolve()
 
 
-def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, place):
+def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, undiagnosed, place):
     good = ehbench.validate(place / "judge.toml", out=place / "good", allow_code=True)
     assert good.code == 0 and good.json("validation")["accepted"]
     first = (place / "judge.toml").read_text().replace('"fit"', '"rig.toml"')
