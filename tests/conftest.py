@@ -166,6 +166,16 @@ def unlocused(monkeypatch) -> None:
 
 
 @pytest.fixture
+def undiagnosed(monkeypatch) -> None:
+    """Validations judge by their checks, for tests that look at nothing else: to ask what the
+    residuals say of the model takes most of one."""
+    from ehbench.diagnosis import Structure
+
+    module = importlib.import_module("ehbench.validation.judge")
+    monkeypatch.setattr(module, "ask", lambda _: Structure())
+
+
+@pytest.fixture
 def door(monkeypatch) -> Iterator[Callable[..., int]]:
     """The command by its entry point in this process, which saves seconds: its exit code."""
     from ehbench.app import cli

@@ -10,6 +10,7 @@ import pytest
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.stages.dry_run import DryRun
+from tests.answers import short
 from tests.shared import ROOT, contents
 
 RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
@@ -30,6 +31,7 @@ def test_every_recipe_and_all_it_names_is_sound(folder, dry_run):
     for path in (path for path in RECIPES if path.parent.name == folder):
         found = inspection.check(path, dry_run)
         assert found.code == 0 and found.lines[-1] == "ok", path
+        short("\n".join(found.answer(path).lines()))
 
 
 @pytest.mark.slow
@@ -68,6 +70,7 @@ def test_a_damaged_run_is_made_again_to_the_same_bytes_and_one_that_stands_is_ke
     assert two.keys() - one.keys() == {f"salvaged/{fit.name}/parameters.json"}
     before = (fit / "volatile.json").stat().st_mtime_ns
     request.getfixturevalue("undrawn")
+    request.getfixturevalue("undiagnosed")
     judged = workflow.run(ROOT / "recipes" / "slide_servo" / "validation.toml", session)
     assert (fit / "volatile.json").stat().st_mtime_ns == before
     assert judged.json("validation")["accepted"]

@@ -174,7 +174,9 @@ def test_a_limit_stops_a_trial_with_5_and_keeps_the_log(workspace, inside, undra
     assert "pressure_max" in done.stdout and (copy / "stopped" / "log.mcap").is_file()
 
 
-def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, inside, undrawn, tmp_path):
+def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(
+    workspace, inside, undrawn, undiagnosed, tmp_path
+):
     """Of the fit that stands in the workspace, if the test above has left it there."""
     slip = ("recipes/validate.toml", "p_head = 70", "p_head = 99.9")
     copy = broken(workspace, tmp_path, *slip, without="report_*")

@@ -36,7 +36,7 @@ def place(slide_runs, boom_maps, tmp_path_factory) -> Path:
     [
         ("check", "recipes/rigs/thesis_arm.toml"),
         ("check", LOG),
-        ("check", "recipes/thesis/campaign.toml"),
+        ("check", "recipes/slide_servo/campaign.toml"),
         ("map", LOG, "--rig", "recipes/rigs/slide_servo.toml"),
         ("convert", LOG, "--to", "mat"),
         ("show", LOG),
@@ -59,7 +59,6 @@ def test_each_command_is_short(words, place, inside, undrawn):
 NO_COMMAND = ("bench", "dataset")
 CHEAP = (
     *("slide_servo/response", "slide_servo/tuning", "slide_servo/arc_tuning"),
-    *("boom_four_valve/hydraulics", "boom_four_valve/validation"),
     *("studies/stopping_trial", "trials/arc_slow", "trials/velocity_steps"),
 )
 

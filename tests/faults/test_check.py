@@ -17,6 +17,8 @@ STEPS, ARC, OWN = "trials/velocity_steps.toml", "trials/arc_slow.toml", "trials/
 CHAIN, TUNING, FIT = "thesis/steps_simulated.toml", "thesis/tuning.toml", "thesis/hydraulics.toml"
 JUDGED, MAPS, ALL = "thesis/validation.toml", "thesis/flow_maps.toml", "thesis/campaign.toml"
 FEW = "slide_servo/campaign.toml"  # of two recipes: all that a campaign names is checked with it
+SLIDE_TUNING, SLIDE_JUDGED = "slide_servo/tuning.toml", "slide_servo/validation.toml"  # few logs
+FLOWS = "thesis_arm/flowmeter/hect.csv"
 RIG = 'rig = "../rigs/thesis_arm.toml"'
 MOTION = (
     '[[motion]]\nname = "30 %%"\nkind = "velocity_steps"\ncylinder = "boom"\nlevels = ["30 %%"]\n'
@@ -71,9 +73,9 @@ MISTAKES = [
     (OWN, 'class = "own_controller:', '‹class = "own_controler:', "'own_controler'"),
     (CHAIN, FROM + "washout", "‹" + FROM + "washot", "'washot'"),
     (CHAIN, 'rig = "validation.toml"', '‹rig = "validatio.toml"', "'validation.toml'"),
-    (TUNING, 'cylinder = "boom"', '‹cylinder = "bom"', "'bom'"),
-    (TUNING, 'payloads = ["none", "50 lb"]', '‹payloads = ["60 lb"]', "'60 lb'"),
-    (TUNING, 'cylinder = "boom"', 'cylinder = "boom"\n‹functions = ["extend"]', "'extend'"),
+    (SLIDE_TUNING, "title =", '‹cylinder = "bom"\ntitle =', "'bom'"),
+    (SLIDE_TUNING, 'payloads = ["none"]', '‹payloads = ["60 lb"]', "'60 lb'"),
+    (SLIDE_TUNING, "title =", '‹functions = ["extend"]\ntitle =', "'extend'"),
     (FIT, '"boom.friction_coulomb"', '"boom.friction_colomb"', "'boom.friction_coulomb'"),
     (FIT, 'bulk_modulus = "800 MPa"', '‹bulk_modulus = "800 V"', "'V'"),
     (FIT, '["eq_2_12", "eq_2_17"]', '["eq_2_12", "eq_2_18"]', "'eq_2_18'"),
@@ -81,8 +83,8 @@ MISTAKES = [
     (FIT, BOOM, f'{{ path = {BOOM}, payload = "55 lb" }}', "'55 lb'"),
     (FIT, BOOM, f'"{SLIDE}"', "'thesis_arm'"),
     (FIT, METHOD, METHOD + '\n‹cutoff = "700 Hz"', "half the rate"),
-    (JUDGED, "title =", '‹channels = ["flow_head"]\ntitle =', "'flow_head'"),
-    (JUDGED, "heldout/swing_no_load.mcap", "flowmeter/hect.csv", "hect.csv"),
+    (SLIDE_JUDGED, '["x", "v", "p_head", "p_rod"]', '‹["flow_head"]', "'flow_head'"),
+    (SLIDE_JUDGED, "slide_servo/heldout/press_no_load.mcap", FLOWS, "hect.csv"),
     (MAPS, "rigs/thesis_arm.toml", "rigs/slide_servo.toml", "no metering edge 'hect'"),
     (FEW, BOTH, 'recipes = [\n  "hydraulics.toml",\n‹  "validatio.toml"]', "'validation.toml'"),
     (FEW, BOTH, '‹recipes = ["hydraulics.toml", "../bench/slide_servo.toml"]', "'bench'"),

@@ -24,7 +24,7 @@ NAMED = {
 
 
 @pytest.fixture
-def ehbench(door, capfdbinary, unpainted) -> Callable[..., bytes]:
+def ehbench(door, capfdbinary, unpainted, undiagnosed) -> Callable[..., bytes]:
     """What a command prints; it ends well."""
 
     def run(folder: bytes, *words: bytes | str) -> bytes:

@@ -182,7 +182,7 @@ def test_a_fit_from_afar_has_the_truth_in_its_intervals(fitted, place):
     assert again.model is not None and again.model.place == (place / "fit" / "press.fmu").resolve()
 
 
-def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, place):
+def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, undiagnosed, place):
     good = ehbench.validate(place / "judge.toml", out=place / "good", allow_code=True)
     assert good.code == 0 and good.json("validation")["accepted"]
     first = (place / "judge.toml").read_text().replace('"fit"', '"rig.toml"')
@@ -196,7 +196,8 @@ def off(place):
     """A log whose sensor of the head end reads 6 % and 3 bar too much."""
     record = recorded(1, 1.5, -1.0)
     reading = {"press.p_head": 1.06 * record["press.p_head"] + 3e5}
-    write_log(place / "off.mcap", replace(record, channels=record.channels | reading))
+    off = replace(record, channels=record.channels | reading)
+    write_log(place / "off.mcap", off.between(0.0, 0.6))
     for name, text in (("judge_off", JUDGE), ("fit_off", FIT)):
         (place / f"{name}.toml").write_text(text + '[[data]]\npath = "off.mcap"\n')
     return place

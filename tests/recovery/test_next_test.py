@@ -58,7 +58,7 @@ def test_the_proposed_test_tells_what_it_was_said_to_when_the_virtual_rig_runs_i
     session = workflow.Session(root=place / "runs", out=place / "next.toml")
     found = workflow.next_test(place / "fit", name, session)
     said = found.proposals[0]
-    assert said.share is not None and said.share < 0.8
+    assert not found.changes and said.share is not None and said.share < 0.8
     text = (place / "fit.toml").read_text(encoding="utf-8")
     again = place / "again.toml"
     again.write_text(text.replace("data = [", 'data = ["next.toml",'), encoding="utf-8")
@@ -107,7 +107,6 @@ def test_what_cannot_be_planned_is_refused_with_a_sentence(place, tmp_path):
 
 
 def test_a_run_that_was_edited_since_says_so(place, tmp_path):
-    assert not workflow.next_test(place / "fit", "bulk_modulus").changes
     edited = shutil.copytree(place / "fit", tmp_path / "fit")
     with (edited / "parameters.json").open("a", encoding="utf-8") as file:
         file.write("\n")

@@ -95,7 +95,7 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
 def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
-    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, *STEPS, 3, LONG))
+    write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, *STEPS, 3, SHORT))
     recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIGS / "slide_servo.toml")}
     recipe |= {"data": ["log.mcap"], "parameters": ["bulk_modulus", "carriage.damping"]}
     (tmp_path / "fit.toml").write_text(tomli_w.dumps(recipe))

@@ -16,12 +16,13 @@ from ehbench.data.record import Record
 from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
 from ehbench.plant.design_point import circuit_of
 from ehbench.plant.model import Model
-from ehbench.report import draw
+from ehbench.report import draw, style
 from ehbench.report.blocks import slug
 from ehbench.runs.rundir import write_json
 from ehbench.tune.results import functions_of
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
+from tests.settings import answers
 from tests.shared import RIGS, shipped
 
 _TABLES = Path(__file__).with_name("report_runs.json").read_text(encoding="utf-8")
@@ -382,12 +383,13 @@ def ledger(pump: float) -> dict:
 
 
 def fill_control(root: Path) -> None:
-    """A tuning and trials of each kind, drawn."""
+    """A tuning and trials of each kind, drawn; blank where others have figures of such kinds."""
     folders = [
         tune_run(root),
-        trials_run(root, "steps", PAIR),
         trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True),
         trial_run(root),
     ]
     for folder in folders:
         draw(folder)
+    with answers(style, painted='<svg xmlns="http://www.w3.org/2000/svg"/>\n'):
+        draw(trials_run(root, "steps", PAIR))

@@ -169,7 +169,7 @@ def recipe(folder: Path, name: str, *lines: str) -> Path:
 
 
 @pytest.mark.slow
-def test_windows_of_one_file_fit_and_judge(undrawn, tmp_path):
+def test_windows_of_one_file_fit_and_judge(undrawn, undiagnosed, tmp_path):
     """Fitted to the first second, judged on the second: held out; an overlap is named."""
     recipe(
         tmp_path,

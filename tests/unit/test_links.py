@@ -24,7 +24,7 @@ from ehbench.links.arming import (
     token_of,
 )
 from ehbench.links.buffered import BufferedLink
-from ehbench.links.client import LinkMachine
+from ehbench.links.client import LINK, LinkMachine
 from ehbench.links.layout import Layout, csv_text
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import Quality, measure
@@ -42,9 +42,9 @@ from ehbench.links.responder import (
 from ehbench.links.serve import ServedTarget
 from ehbench.links.transport import SEQUENCE, STATE, TIME
 from ehbench.trial import prepare, run, running
-from ehbench.validation import validate_rig
 from ehbench.vocabulary.errors import InputError
-from tests.shared import ROOT, refused, shipped
+from tests.settings import at
+from tests.shared import ROOT, judged, refused, shipped
 from tools.studies import link_study
 from tools.studies.link_study import VirtualLink
 
@@ -424,7 +424,7 @@ def test_a_measurement_counts_what_does_not_count():
     single = np.ones(24, "<f4").tobytes()
     link = SimpleNamespace(virtual=True, send=lambda _: None, close=lambda: None)
     link.receive = lambda timeout: [np.frombuffer(single, "<f8"), np.empty(0)]
-    with refused("links.silent", InputError) as error:
+    with at(LINK, "patience", 0.2), refused("links.silent", InputError) as error:
         measure(link, "udp://here:1", 0.1)
     for why in ("foreign", "malformed"):
         assert why in str(error.value)
@@ -854,7 +854,7 @@ def test_a_log_over_a_link_identifies_as_any_other(tmp_path):
     assert fit.parameters[0].value == pytest.approx(bulk, rel=1e-4)
     for factor, accepted in ((1.0, True), (2.0, False)):
         rig = RIG.with_values({"bulk_modulus": factor * bulk})
-        assert validate_rig(rig, [("steps", read(log))]).accepted is accepted
+        assert judged(rig, [("steps", read(log))]).accepted is accepted
 
 
 def test_a_log_alone_gives_clocks_and_delays(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from ehbench.plant.ties import RECORDED, SUPPLY
 from ehbench.preprocessing.observations import commanded
 from ehbench.report.content import remedy_step
 from ehbench.report.stages.validation import doubts
-from ehbench.validation import speaking_against, validate_rig
+from ehbench.validation import prepare_validation, run_validation, speaking_against
 from ehbench.vocabulary import quantity
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.messages import Message, message
@@ -161,8 +161,8 @@ def test_what_a_fit_finds_of_its_logs_weighs_on_the_verdict():
     for written in ("100 kg", "none"):
         fit = identify(rig, [("a", first), ("b", said(loaded, written))], ["bulk_modulus"])
         against = speaking_against(fit.as_json())
-        verdict = validate_rig(fit.rig, [("c", last)], leans=against)
-        verdicts[written] = verdict.verdict
+        prepared = replace(prepare_validation(fit.rig, [("c", last)]), leans=against)
+        verdicts[written] = run_validation(prepared, diagnose=False).verdict
         named = [item for item in against if getattr(item["sentence"], "key", "") == MISREAD]
         assert [item["sentence"].fields["remedy"].fields["log"] for item in named] == (
             ["b"] if written == "none" else []

@@ -123,7 +123,7 @@ def built(runs) -> str:
     return build(runs)
 
 
-def test_trials_of_a_machine_without_pressure_sensors_are_shown(tmp_path):
+def test_trials_of_a_machine_without_pressure_sensors_are_shown(unpainted, tmp_path):
     """They have no energy ledger; a page of two compares the rest."""
     unknown = measures(0.0, 1e-4, [])
     unknown["energy"] |= {"pump": None, "cylinder_work": None, "source": "no energy ledger"}

@@ -100,7 +100,7 @@ def test_demands_are_kept_and_no_neighbour_is_better(tuned, motions):
 
 
 def test_what_cannot_be_kept_is_said(unlocused):
-    t = gains(rig(), recipe(bandwidth="500 Hz"))
+    t = gains(rig(), recipe(bandwidth="500 Hz", postures=1))
     assert not t.met and any("bandwidth" in w for w in t.warnings)
 
 
