@@ -135,8 +135,8 @@ def header(part: Component) -> str:
         f"void {name}_step({name} *self);",
         "/* the value of a variable; not a number where there is none */",
         f"double {name}_get(const {name} *self, int variable);",
-        "/* set an input or a parameter: 0 done; nothing changed: 1 no such, 2 not finite or out of",
-        "   its range */",
+        "/* set an input or a parameter: 0 done; nothing changed: 1 no such, 2 not finite or",
+        "   out of its range */",
         f"int {name}_set({name} *self, int variable, double value);",
         "#ifdef __cplusplus", "}", "#endif", "#endif", "",
     ])  # fmt: skip
