@@ -12,13 +12,13 @@ from typing import Any
 
 METHODS: Mapping[str, int] = {
     "logs": 7,  # reading of logs and files, gaps, sensor terms, initial states
-    "plant": 4,  # equations of the plant, its parts and their integration
+    "plant": 5,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 12,
-    "output_error": 17,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 18,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 5,
-    "diagnosis": 16,
+    "diagnosis": 17,
     "validation": 15,
     "control": 4,  # controllers and their monitor
     "tuning": 6,

@@ -18,8 +18,6 @@ from ehbench.parts.friction import (
     friction_slope,
     friction_steady,
 )
-from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
-from ehbench.parts.friction.stribeck import SMOOTHING
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.linear import development_model
@@ -35,11 +33,12 @@ STIFFNESS, DAMPING = 4.0e6, 2.0e3
 VISCOUS, COULOMB, STATIC, DIP = 300.0, 80.0, 160.0, 0.02
 
 
-def rig_with(law: str, **more) -> Rig:
-    """The shipped slide with a law of friction in its cylinder."""
+def rig_with(law: str, turning: str = "", **more) -> Rig:
+    """The shipped slide with a law of friction in its cylinder, that turns round over a speed."""
     plain = shipped("slide_servo").as_toml()
     (cylinder,) = plain["cylinder"]
     cylinder |= {"friction_viscous": "300 N*s/m", "friction_coulomb": "80 N"}
+    cylinder |= {"coulomb_speed": turning} if turning else {}
     cylinder["friction"] = {"law": law} | TABLES.get(law, {}) | more
     return Rig.model_validate(plain)
 
@@ -65,17 +64,22 @@ def test_friction_of_either_direction_is_its_own(retracting):
     assert friction_steady(row, 0.0) == 0.0
 
 
-def test_laws_bear_the_curve_beyond_their_smoothing():
-    row = Model.of(rig_with("stribeck")).plant.cylinders[0]
+@pytest.mark.parametrize(("turning", "speed"), [("", 2e-3), ("0.5 mm/s", 5e-4), ("10 mm/s", 0.01)])
+def test_laws_turn_round_over_the_speed_of_their_cylinder(turning, speed):
+    row = Model.of(rig_with("stribeck", turning)).plant.cylinders[0]
     for v in (-0.3, -0.02, 0.008, 0.05):
-        turned = math.tanh(abs(v) / SMOOTHING)
+        turned = math.tanh(abs(v) / speed)
         bare = steady(v) - VISCOUS * v
         assert friction_steady(row, v) == pytest.approx(bare * turned + VISCOUS * v, rel=1e-12)
     assert friction_steady(row, 0.0) == 0.0
-    row = Model.of(rig_with("coulomb_viscous")).plant.cylinders[0]
-    for v in (-0.3, -2e-3, 0.0, 1e-9, 0.05):
-        rubs = VISCOUS * v + COULOMB * math.tanh(v / COULOMB_SPEED)
-        assert friction_steady(row, v) == pytest.approx(rubs, rel=1e-12)
+    for law, retracting in (("coulomb_viscous", COULOMB), ("directional", 130.0)):
+        row = Model.of(rig_with(law, turning)).plant.cylinders[0]
+        for v in (-0.3, -2e-3, 0.0, 1e-9, 0.05):
+            rubs = (COULOMB if v >= 0.0 else retracting) * math.tanh(v / speed)
+            assert friction_steady(row, v) == pytest.approx(VISCOUS * v + rubs, rel=1e-12)
+
+
+def test_bristles_bear_the_curve_once_a_speed_has_lasted():
     model = Model.of(rig_with("lugre"))
     row, y = model.plant.cylinders[0], np.zeros(model.layout.states)
     rates = np.full_like(y, np.nan)

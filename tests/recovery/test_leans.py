@@ -101,6 +101,17 @@ def test_a_law_of_friction_that_the_rig_file_does_not_have_is_named():
     assert moved.here > moved.there >= coulomb and moved.halves > 2.0
 
 
+@pytest.mark.parametrize("speed", [10e-3, 0.4e-3])
+def test_the_speed_over_which_friction_turns_round_is_named(speed):
+    """The damping comes out wrong without it: it is read from slow motion, too."""
+    rig = rig_of("slide_servo")
+    machine = rig.with_values({"press.friction_coulomb": 800.0, "press.coulomb_speed": speed})
+    lean = of_slide(machine, rig).leans[0]
+    assert lean.name == "press.coulomb_speed"
+    assert abs(lean.there - speed) < 4.0 * lean.std < speed
+    assert lean.moved[0].there == pytest.approx(800.0, rel=0.02) and lean.beyond > 1.0
+
+
 # a slide whose friction fades from 1.8 times Coulomb's over 20 mm/s, and its commands [V] from [s]
 STICKY = power.Machine(
     kind="slide", spools=1, bore=0.06415, rod=0.04244, stroke=0.5295, volume_head=5.377e-4,

@@ -11,6 +11,7 @@ from ehbench.config.rig.mechanism import Pins, Rack
 from ehbench.config.rig.names import Misplaced, Name, second
 from ehbench.config.rig.valves import FixedEdge, Valve
 from ehbench.parts.friction import TABLES as FRICTIONS
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.friction.law import FrictionTable
 from ehbench.parts.line import Line
 from ehbench.parts.mount import Mount
@@ -96,6 +97,7 @@ class Cylinder(FileModel):
     leakage_rod: Annotated[Value, Q("leakage_rod")] = Value(0.0)
     friction_viscous: Annotated[Value, Q("friction_viscous")] = Value(0.0)
     friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
+    coulomb_speed: Annotated[Value, Q("coulomb_speed")] = Value(COULOMB_SPEED)
     friction: Friction | None = None
     relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
     valve: tuple[Valve, ...] = Field(min_length=1)

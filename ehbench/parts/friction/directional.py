@@ -7,7 +7,6 @@ import math
 from typing import Annotated, Literal
 
 from ehbench.parts.fault import Fault
-from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
 from ehbench.physics.friction import coulomb_slope
 from ehbench.runtime.compiled import part_kernel
@@ -26,28 +25,28 @@ class Directional(FrictionTable):
 def steady(row, v):
     """Resistance [N] at a steady speed v [m/s]."""
     coulomb = row.friction_coulomb if v >= 0.0 else row.friction_retracting
-    return row.friction_viscous * v + coulomb * math.tanh(v / COULOMB_SPEED)
+    return row.friction_viscous * v + coulomb * math.tanh(v / row.coulomb_speed)
 
 
 @part_kernel
 def slope(row, v):
     """Slope [N·s/m] of the resistance at speed v [m/s]."""
     coulomb = row.friction_coulomb if v >= 0.0 else row.friction_retracting
-    return coulomb_slope(v, row.friction_viscous, coulomb, COULOMB_SPEED)
+    return coulomb_slope(v, row.friction_viscous, coulomb, row.coulomb_speed)
 
 
 @part_kernel
 def fastest(row, v):
     """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
     coulomb = max(row.friction_coulomb, row.friction_retracting)
-    steep = 0.0 if abs(v) > 4.0 * COULOMB_SPEED else coulomb / COULOMB_SPEED
+    steep = coulomb / row.coulomb_speed if abs(v) <= 4.0 * row.coulomb_speed else 0.0
     return min(row.mobility * (steep + row.friction_viscous), 1.0 / SETTLING)
 
 
 LAW = FrictionLaw(
     name="directional",
     table=Directional,
-    columns=("friction_viscous", "friction_coulomb", "friction_retracting"),
+    columns=("friction_viscous", "friction_coulomb", "coulomb_speed", "friction_retracting"),
     steady=steady,
     slope=slope,
     fastest=fastest,

@@ -1,7 +1,7 @@
 """Stribeck friction, smoothed through zero speed: more at break-away than in motion.
 
 Like Coulomb friction it creeps at rest instead of sticking; its peak comes close to
-``friction_static`` where ``stribeck_speed`` lies well above SMOOTHING."""
+``friction_static`` where ``stribeck_speed`` lies well above ``coulomb_speed``."""
 
 from typing import Annotated, Literal
 
@@ -10,8 +10,6 @@ from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
 from ehbench.physics.friction import stribeck, stribeck_slope
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
-
-SMOOTHING = 1.0e-3  # [m/s]: over which friction turns round
 
 
 class Stribeck(FrictionTable):
@@ -32,14 +30,14 @@ class Stribeck(FrictionTable):
 @part_kernel
 def steady(row, v):
     """Resistance [N] at a steady speed v [m/s]."""
-    speeds = row.stribeck_speed, SMOOTHING
+    speeds = row.stribeck_speed, row.coulomb_speed
     return stribeck(v, row.friction_viscous, row.friction_coulomb, row.friction_static, *speeds)
 
 
 @part_kernel
 def slope(row, v):
     """Slope [N·s/m] of the resistance at speed v [m/s]."""
-    speeds = row.stribeck_speed, SMOOTHING
+    speeds = row.stribeck_speed, row.coulomb_speed
     viscous, static = row.friction_viscous, row.friction_static
     return stribeck_slope(v, viscous, row.friction_coulomb, static, *speeds)
 
@@ -48,7 +46,7 @@ def slope(row, v):
 def fastest(row, v):
     """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
     maximum = max(row.friction_static, row.friction_coulomb)
-    steep = 0.0 if abs(v) > 4.0 * SMOOTHING else maximum / SMOOTHING
+    steep = maximum / row.coulomb_speed if abs(v) <= 4.0 * row.coulomb_speed else 0.0
     dip = 0.86 * abs(row.friction_static - row.friction_coulomb) / row.stribeck_speed
     return min(row.mobility * (max(steep, dip) + row.friction_viscous), 1.0 / SETTLING)
 
@@ -56,7 +54,10 @@ def fastest(row, v):
 LAW = FrictionLaw(
     name="stribeck",
     table=Stribeck,
-    columns=("friction_viscous", "friction_coulomb", "friction_static", "stribeck_speed"),
+    columns=(
+        *("friction_viscous", "friction_coulomb", "coulomb_speed"),
+        *("friction_static", "stribeck_speed"),
+    ),
     steady=steady,
     slope=slope,
     fastest=fastest,
