@@ -14,7 +14,7 @@ import numpy as np
 
 HEAD_IN, ROD_OUT, ROD_IN, HEAD_OUT = range(4)  # edges: supply-head, rod-tank, supply-rod, head-tank
 SMOOTH_DROP = 2.0e4  # [Pa]: below it an orifice's flow is linear in the drop
-SMOOTH_COULOMB, SMOOTH_STRIBECK = 2.0e-3, 1.0e-3  # [m/s]: speed over which friction turns round
+TURNING = 2.0e-3  # [m/s]: speed over which friction turns round
 
 
 class Numbers(NamedTuple):
@@ -73,10 +73,10 @@ def _flow(n, edge, opening, drop):
 
 @numba.njit(cache=True)
 def _friction(n, v):
+    dip = 0.0
     if n.static > n.coulomb:
         dip = (n.static - n.coulomb) * math.exp(-((v / n.stribeck_speed) ** 2))
-        return (n.coulomb + dip) * math.tanh(v / SMOOTH_STRIBECK)
-    return n.coulomb * math.tanh(v / SMOOTH_COULOMB)
+    return (n.coulomb + dip) * math.tanh(v / TURNING)
 
 
 @numba.njit(cache=True)
