@@ -13,7 +13,7 @@ import numpy as np
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.rates import is_bad, range_of
 from ehbench.data.record import Record
-from ehbench.parts.cylinder import joint_of, linkage_arrays
+from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_arrays
 from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
@@ -140,13 +140,10 @@ def _coarse(record: Record, model: Model) -> Iterator[Message]:
         x = 0.5 * float(row.stroke)
         lever = linkage_arrays(row, np.array([joint_of(row, x)]))[1][0]
         noise *= 1.0 if channel == f"{cylinder}.x" else abs(float(lever))
-        for side, area, volume in (
-            ("head", row.area_head, row.volume_head + row.area_head * x),
-            ("rod", row.area_rod, row.volume_rod + row.area_rod * (row.stroke - x)),
-        ):
-            pressure = f"{cylinder}.p_{side}"
+        for side, area in enumerate((row.area_head, row.area_rod)):
+            pressure = f"{cylinder}.{_ENDS[side]}"
             spread = float(np.std(record[pressure])) if pressure in record else 0.0
-            worth = float(row.bulk_modulus * area / volume) * noise
+            worth = float(row.bulk_modulus * area / chamber_oil(row, side, x)) * noise
             if worth > SETTINGS.worth * spread > 0.0:
                 shown, share = model.rig.shown("p_head", worth, 3), worth / spread
                 fields = {"position": channel, "noise": shown, "pressure": pressure}

@@ -1,6 +1,7 @@
 """Logs of a controller that held the position: their motion is tied in, and pressures stay what is
 judged."""
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -179,8 +180,14 @@ def test_motion_of_a_chain_needs_every_joint():
 def test_a_coarse_position_is_said():
     coarse = tied(closed_loop_log("load", 3, seconds=0.8, noise=40.0), "motion")
     prepared = prepare_validation(rigs("load")[0], [("a", coarse)])
-    keys = [note.key for note in prepared.logs[0].log.notes]
-    assert "preprocessing.position_noise" in keys
+    notes = [n for n in prepared.logs[0].log.notes if n.key == "preprocessing.position_noise"]
+    # the slide at mid-stroke: oil of volume_head + A1 L/2 and of volume_rod − A2 L/2
+    head, rod = math.pi * 0.05**2 / 4.0, math.pi * (0.05**2 - 0.028**2) / 4.0
+    worth = [head / (150e-6 + 0.2 * head), rod / (700e-6 - 0.2 * rod)]
+    spreads = [float(np.std(coarse[f"press.p_{side}"])) for side in ("head", "rod")]
+    shares = [note.fields["share"] for note in notes]
+    expected = worth[0] / worth[1] * spreads[1] / spreads[0]
+    assert shares[0] / shares[1] == pytest.approx(expected, rel=1e-6)
     fine = prepare_validation(rigs("load")[0], [("a", tied(loaded(), "motion"))])
     keys = [note.key for note in fine.logs[0].log.notes]
     assert "preprocessing.position_noise" not in keys
