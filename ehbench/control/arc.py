@@ -60,7 +60,6 @@ from ehbench.control.trajectory import ORDERS, reference_of, speeds_soon
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
-from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.sample import OF, entry
 from ehbench.parts.supply import beside_change
 from ehbench.physics.arm import work_size
@@ -479,7 +478,7 @@ def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
     cylinder, lower, upper = axis.cylinder, gains.lower, gains.upper
     inverse = estimates[INVERSE_INERTIA]
     share, offset = estimates[PAYLOAD_SHARE], estimates[DISTURBANCE]
-    turn = math.tanh(reference.v / COULOMB_SPEED)
+    turn = math.tanh(reference.v / cylinder.coulomb_speed)
     kappa = load.curve * v * v
     force = (
         load.gravity
@@ -567,9 +566,8 @@ def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
     along = (
         ahead.gravity - load.gravity + (ahead.damping - load.damping) * v + moved / inverse
     ) / ARC.ahead
-    turned = (
-        cylinder.friction_coulomb * (1.0 - force.turn * force.turn) * reference.a / COULOMB_SPEED
-    )
+    turning = (1.0 - force.turn * force.turn) / cylinder.coulomb_speed
+    turned = cylinder.friction_coulomb * turning * reference.a
     timed = turned + load.mass / inverse * (
         reference.j + stroke.k1 * reference.a + force.k2 * stroke.a_eq
     )

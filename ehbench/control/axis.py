@@ -8,6 +8,7 @@ import numpy as np
 from ehbench.control.functions import Circuit, coupled
 from ehbench.parts.cylinder import chamber_oil, linkage_of
 from ehbench.parts.edge import edge_onset
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.physics.arm import (
     CHAIN,
     LINK,
@@ -142,6 +143,8 @@ def axis_of(
     cylinder = cylinder.copy()
     # what a force takes from a moving rod in either direction acts as Coulomb friction does
     cylinder.friction_coulomb += 0.5 * float((own["retracting"] - own["extending"]).sum())
+    # what is given ahead must not jump where friction turns round at once
+    cylinder.coulomb_speed = max(cylinder.coulomb_speed, COULOMB_SPEED)
     push = 0.5 * (own["extending"] + own["retracting"]) + own["stiffness"] * own["free_length"]
     tip, onset = _tip(mechanism.kind, mechanism.links), np.zeros(circuit.count)
     for i in range(circuit.count):

@@ -20,7 +20,7 @@ METHODS: Mapping[str, int] = {
     "frequency_response": 5,
     "diagnosis": 17,
     "validation": 15,
-    "control": 4,  # controllers and their monitor
+    "control": 5,  # controllers and their monitor
     "tuning": 6,
     "trial": 3,  # the loop and what is measured of it
     "ledger": 4,
