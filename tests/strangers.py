@@ -36,6 +36,7 @@ class Stranger:
     middle: float = 0.0
     spring: float = 0.0
     load: float = 0.0
+    stop: float = 0.0  # stiffness of its end stops [N/m]
 
     def slope(self, t: float, y: np.ndarray, volts: float) -> list[float]:
         """Rates of stroke, speed, both pressures, opening and its rate."""
@@ -52,6 +53,7 @@ class Stranger:
         force = head * self.areas[0] - rod * self.areas[1] - self.load
         force -= self.spring * (x - 0.5 * self.stroke) + self.damping * v
         force -= self.coulomb * np.tanh(v / 2.0e-3)
+        force -= self.stop * (max(x - self.stroke, 0.0) + min(x, 0.0))
         room = (self.dead + self.areas[0] * x, self.dead + self.areas[1] * (self.stroke - x))
         return [
             v,

@@ -17,7 +17,7 @@ from ehbench.plant.paced import AUTO
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
 from ehbench.preprocessing.observations import SETTINGS as OBSERVED
-from ehbench.preprocessing.observations import column, noise_of
+from ehbench.preprocessing.observations import column, noise_of, not_described
 from ehbench.preprocessing.sensors import Term, corrected, sensed
 from ehbench.signals.series import correlation_time, rms
 from ehbench.vocabulary.quantities import GAUGES
@@ -117,10 +117,14 @@ class Case:
 
     @cached_property
     def keep(self) -> np.ndarray:
-        """Which samples count."""
+        """Which samples count: of the scored part, without what the model does not describe."""
         t = self.record.t
         low, high = self.scored or (-math.inf, math.inf)
-        return (t >= low) & (t <= high)
+        scored = (t >= low) & (t <= high)
+        known = scored.copy()
+        for _, cylinder, void in not_described(self.model, self.record):
+            known &= ~void | (cylinder not in self.cylinders)
+        return known if known.any() else scored
 
     @cached_property
     def block(self) -> int:

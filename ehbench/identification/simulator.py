@@ -28,8 +28,8 @@ from ehbench.preprocessing.observations import (
     channels_asked,
     column,
     count_error,
-    empty_chambers,
     least_changes,
+    not_described,
     payload_of,
     position_of,
 )
@@ -192,7 +192,9 @@ def prepare(
         for word in required
         if word not in CHANNELS and not _columns(record, live, [word])
     ]
-    counts, voids = _counts(name, rig, record, list(columns))
+    counts, voids = _counts(name, model, record, list(columns))
+    if not counts.any():
+        raise InsufficientData(message("identification.none_counts", notes="; ".join(voids)))
     return Log(
         name,
         record,
@@ -209,19 +211,19 @@ def prepare(
 
 
 def _counts(
-    name: str, rig: Rig, record: Record, channels: Sequence[str]
+    name: str, model: Model, record: Record, channels: Sequence[str]
 ) -> tuple[np.ndarray, list[str]]:
     """(which samples of a log count, shape (samples, channels); a warning of each cylinder of which
-    some do not): those of an empty chamber and of a sensor at its end do not."""
+    some do not): what the model does not describe, and a sensor at its end, do not."""
     messages: list[str] = []
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
-    for cylinder, void in empty_chambers(rig, record):
+    for what, cylinder, void in not_described(model, record):
         columns = [i for i, name in enumerate(channels) if name.startswith(f"{cylinder}.")]
         if columns:
             counts[np.ix_(void, np.array(columns))] = False
             fields = {"t": record.t[int(np.argmax(void))], "share": 100 * np.mean(void)}
             fields |= {"log": name, "cylinder": cylinder}
-            messages.append(message("identification.cavitates", **fields))
+            messages.append(message(f"identification.{what}", **fields))
     for i, channel in enumerate(channels):
         if channel in record and quantity(channel).unit in LIMITED:
             counts[at_limit(record[channel]), i] = False

@@ -8,6 +8,7 @@ import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.record import Record, payloads_of
+from ehbench.parts.cylinder import linkage_arrays
 from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import RECORDED, SUPPLY, supplied, tied_words
 from ehbench.signals.series import lowpass, rms, transients, white_noise
@@ -43,6 +44,7 @@ class ObservationSettings:
     emptying: float = setting(
         0.05, "s", "time about an empty chamber in which samples do not count", "it fills"
     )
+    near: float = setting(0.01, "", "distance from an end of the stroke, of it", "cushions act")
 
 
 SETTINGS = ObservationSettings()
@@ -150,6 +152,33 @@ def empty_chambers(rig: Rig, record: Record) -> Iterator[tuple[str, np.ndarray]]
         for first, stop in zip(empty[firsts], stops[windows], strict=True):
             void[max(0, first - ahead) : stop + ahead] = True
         yield cylinder.name, void
+
+
+def at_ends(model: Model, record: Record) -> Iterator[tuple[str, np.ndarray]]:
+    """Each cylinder that its log shows at an end of its stroke, and in which samples, with those
+    just before and after: of stops and cushions the model knows only where the stroke ends."""
+    from scipy.ndimage import maximum_filter1d
+
+    around = 2 * round(SETTINGS.emptying / record.sample_time) + 1
+    for name, row in zip(model.layout.cylinders, model.plant.cylinders, strict=True):
+        channel = next((c for c in (f"{name}.x", f"{name}.q") if c in record), None)
+        if channel is None:
+            continue
+        x = record[channel]
+        x = linkage_arrays(row, x)[0] if channel.endswith("q") else x
+        off = np.minimum(np.abs(x), np.abs(x - row.stroke))
+        there = off < SETTINGS.near * row.stroke
+        if there.any() and not there.all():
+            yield name, maximum_filter1d(there, around, mode="constant")
+
+
+def not_described(model: Model, record: Record) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(what, cylinder, samples) of a log that the model does not describe: ``cavitates`` of
+    `empty_chambers`, ``at_end`` of `at_ends`."""
+    for cylinder, void in empty_chambers(model.rig, record):
+        yield "cavitates", cylinder, void
+    for cylinder, void in at_ends(model, record):
+        yield "at_end", cylinder, void
 
 
 def commanded(model: Model, record: Record) -> tuple[str, ...]:

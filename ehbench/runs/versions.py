@@ -15,11 +15,11 @@ METHODS: Mapping[str, int] = {
     "plant": 5,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 12,
-    "output_error": 18,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 19,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 5,
-    "diagnosis": 17,
-    "validation": 15,
+    "diagnosis": 18,
+    "validation": 16,
     "control": 5,  # controllers and their monitor
     "tuning": 6,
     "trial": 3,  # the loop and what is measured of it

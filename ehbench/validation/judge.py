@@ -28,7 +28,7 @@ from ehbench.preprocessing.observations import (
     channels_asked,
     column,
     commanded,
-    empty_chambers,
+    not_described,
     payload_of,
     position_of,
     stood_for,
@@ -395,9 +395,10 @@ def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
         yield message("validation.fitted")
     if not moved:
         yield message("validation.no_motion")
-    for cylinder, void in empty_chambers(log.log.model.rig, log.counted) if not log.failure else ():
+    spans = not_described(log.log.model, log.counted) if not log.failure else ()
+    for what, cylinder, void in spans:
         fields = {"t": log.counted.t[int(np.argmax(void))], "share": 100 * np.mean(void)}
-        yield message("validation.cavitates", cylinder=cylinder, **fields)
+        yield message(f"validation.{what}", cylinder=cylinder, **fields)
 
 
 def _free(model: Model, record: Record, channels: Sequence[str]) -> list[str]:

@@ -3,6 +3,7 @@ READMEs have it."""
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from ehbench import load_rig, workflow
 from ehbench.config.recipe.columns import load_columns
 from ehbench.data import read
 from ehbench.data.additional import AdditionalFile
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.validation import validate_rig
 from tests.shared import RECIPES, result
-from tests.strangers import LOADER, PRESS, logs_of
+from tests.strangers import LOADER, PRESS, logs_of, steps
 
 # by machine: numbers of the machine [SI] by parameter, and the change that leads to them
 STRANGERS = {
@@ -78,6 +80,32 @@ def test_a_wrong_model_of_a_stranger_is_led_to_the_right_one(
     assert found == pytest.approx(truth, rel=0.025)
     assert result("judge_better", "validation")["verdict"] == "accepted"
     assert len(readme.split()) < 300
+
+
+def test_stops_and_cushions_of_a_stranger_spoil_no_numbers(tmp_path):
+    """The loader runs into stops a tenth as stiff as the model's, from either side; its damping
+    came out six times too large, and the exact model was blamed."""
+    machine = replace(LOADER, stroke=0.07, stop=3e7)
+    truth = {"bulk_modulus": machine.bulk, "arm.damping": machine.damping}
+    truth["lift.friction_coulomb"] = machine.coulomb
+    sizes = {"lift.stroke": machine.stroke, "lift.spool.overlap": machine.lap}
+    sizes |= {"lift.volume_rod": machine.dead + machine.areas[1] * machine.stroke}
+    sizes |= {"lift.spool.null": machine.middle}
+    rig = load_rig(RECIPES / "loader/better_rig.toml").with_values(sizes)
+    logs = []
+    for k, levels in enumerate(((5.0, -3.5, 0.0, 6.0, -6.0), (-6.0, 4.0, 5.0, -4.0, 3.0))):
+        lever, file = steps(levels), tmp_path / f"{k}.csv"
+        file.write_text(machine.recorded(lambda t, x, lever=lever: lever(t), 2.8, k))
+        logs.append((f"log {k}", read(file, RECIPES / "loader/daq.map.toml")))
+    ends = [record["lift.x"] for _, record in logs]
+    assert ends[0].max() > machine.stroke and ends[1].min() < 0.0
+    fit = identify_hydraulics(rig, logs, [*truth], FitOptions(start={"lift.friction_coulomb": 200}))
+    for item in fit.parameters:
+        low, high = item.interval
+        assert abs(truth[item.name] - item.value) < high - low < 0.25 * item.value, item
+    exact = validate_rig(rig.with_values(truth), logs)
+    notes = [note.key for log in exact.logs for note in log.warnings if hasattr(note, "key")]
+    assert exact.verdict == "accepted" and notes.count("validation.at_end") == 2
 
 
 @pytest.mark.slow

@@ -442,13 +442,13 @@ def test_a_shift_is_what_half_of_the_rows_agree_on(agreeing, late):
 def test_a_log_counts_that_moves_and_was_not_fitted(fitted, overlap, moved, keys):
     model, counted = Stub(model=MODEL), Record(np.arange(4) * TICK, {})
     log: Any = Stub(fitted=fitted, overlap=overlap, failure="", log=model, counted=counted)
-    with answers(judge, empty_chambers=[]):
+    with answers(judge, not_described=[]):
         notes: list[Any] = list(judge._not_counted(log, moved))
     assert [note.key for note in notes] == [f"validation.{key}" for key in keys]
     if overlap:
         assert notes[0].fields["spans"] == "1 … 2.5 s (of a)"
     void = np.array([False, False, True, False])
-    with answers(judge, empty_chambers=[("press", void)]):
+    with answers(judge, not_described=[("cavitates", "press", void)]):
         told: Any = list(judge._not_counted(log, moved))[-1]
         log.failure = "it did not run"
         assert list(judge._not_counted(log, moved)) == notes
@@ -474,7 +474,7 @@ def test_what_is_scored_of_a_log_has_both_its_ends(scored, samples):
     record = Record(np.arange(9) * TICK, {"press.x": np.arange(9.0)})
     log = judge.JudgedLog(PreparedLog("log", record, MODEL), scored=scored)
     assert log.counted["press.x"].tolist() == list(samples)
-    keep = cases.Case.keep.func(Stub(record=record, scored=scored))
+    keep = cases.Case.keep.func(Stub(record=record, scored=scored, model=MODEL, cylinders=()))
     assert np.flatnonzero(keep).tolist() == list(samples)
 
 
