@@ -15,7 +15,7 @@ METHODS: Mapping[str, int] = {
     "plant": 5,  # equations of the plant, its parts and their integration
     "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 12,
-    "output_error": 18,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 19,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 5,
     "diagnosis": 17,
