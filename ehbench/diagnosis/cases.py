@@ -17,7 +17,7 @@ from ehbench.plant.paced import AUTO
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
 from ehbench.preprocessing.observations import SETTINGS as OBSERVED
-from ehbench.preprocessing.observations import column, noise_of
+from ehbench.preprocessing.observations import column, empty_chambers, noise_of
 from ehbench.preprocessing.sensors import Term, corrected, sensed
 from ehbench.signals.series import correlation_time, rms
 from ehbench.vocabulary.quantities import GAUGES
@@ -117,10 +117,13 @@ class Case:
 
     @cached_property
     def keep(self) -> np.ndarray:
-        """Which samples count."""
+        """Which samples count: as in a fit, of an empty chamber none, unless that leaves none."""
         t = self.record.t
         low, high = self.scored or (-math.inf, math.inf)
-        return (t >= low) & (t <= high)
+        inside = (t >= low) & (t <= high)
+        void = [empty for _, empty in empty_chambers(self.model.rig, self.record)]
+        full = inside & ~np.any(void, axis=0)
+        return full if np.any(full) else inside
 
     @cached_property
     def block(self) -> int:

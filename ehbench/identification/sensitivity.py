@@ -19,6 +19,7 @@ from ehbench.identification.descent import solve
 from ehbench.identification.problem import (
     Problem,
     State,
+    above_noise,
     by_channel,
     cost,
     evaluate,
@@ -26,7 +27,6 @@ from ehbench.identification.problem import (
     prior_of,
     problem_of,
     scaled,
-    squares,
     start_jacobian,
 )
 from ehbench.identification.results import Doubts, Lean, Moved
@@ -35,7 +35,7 @@ from ehbench.identification.simulator import Effort, Log, Simulator
 from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.plant.ties import position_channel, tied_words
 from ehbench.preprocessing.sensors import VAGUE, Term
-from ehbench.signals.series import lowpass, white_noise
+from ehbench.signals.series import lowpass
 from ehbench.vocabulary import Z95, EhbenchError, Message, message, setting
 from ehbench.vocabulary.terms import BEYOND
 
@@ -106,7 +106,7 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
     took: the least sure numbers are asked first, each of the log that is followed worst, the most
     promising of all logs, and these are freed while the share lasts.
     """
-    above = _above_noise(fit, state)
+    above = above_noise(fit, state)
     if above < SETTINGS.worth:
         return Doubts()
     effort, took = Effort(), max(fit.simulator.effort.evaluations, SETTINGS.quick)
@@ -157,21 +157,6 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
     )
     leans = tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
     return Doubts(tuple(warnings), leans, unasked)
-
-
-def _above_noise(fit: Problem, state: State) -> float:
-    """Share of the squares that white noise of the readings does not make: all that a fixed number
-    can explain, however noisy the readings.
-    """
-    if fit.cutoff or any(log.band is not None for log in fit.logs):
-        return 1.0
-
-    def noise(log: Log) -> float:
-        apart = map(log.seen.apart, log.channels)
-        sizes = list(map(white_noise, log.recorded.T, apart)) / by_channel(state.scales, log)
-        return float(np.sum(sizes**2 * np.count_nonzero(log.counts, axis=0)))
-
-    return 1.0 - sum(map(noise, fit.logs)) / squares(fit, state)
 
 
 def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:

@@ -18,7 +18,7 @@ METHODS: Mapping[str, int] = {
     "output_error": 19,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 2,  # identification by frequency and decay
     "frequency_response": 5,
-    "diagnosis": 17,
+    "diagnosis": 18,
     "validation": 15,
     "control": 4,  # controllers and their monitor
     "tuning": 6,

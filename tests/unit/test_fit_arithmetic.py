@@ -925,9 +925,9 @@ def test_white_noise_alone_is_asked_of_no_fixed_number(extra, noise):
     for log in asked.logs:
         # pyrefly: ignore[read-only]
         log.recorded = log.recorded + 0.0
-    above = sensitivity._above_noise(asked, weighed(asked, state))
+    above = sensitivity.above_noise(asked, weighed(asked, state))
     assert (above < sensitivity.SETTINGS.worth) == noise
-    assert sensitivity._above_noise(replace(asked, cutoff=9.0), weighed(asked, state)) == 1.0
+    assert sensitivity.above_noise(replace(asked, cutoff=9.0), weighed(asked, state)) == 1.0
 
 
 def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells():
@@ -980,7 +980,7 @@ def test_a_number_that_moves_an_estimate_by_half_of_its_interval_is_freed(beyond
     item = Stub(row=Stub(kind="mass"), beyond=beyond * BEYOND, explains=0.5)
     fit: Any = Stub(simulator=Stub(effort=Stub(evaluations=100)))
     asked = []
-    with answers(sensitivity, _above_noise=1.0, _screened=([], ()), _promising=lambda *_: [item],
+    with answers(sensitivity, above_noise=1.0, _screened=([], ()), _promising=lambda *_: [item],
                  _confirmed=lambda *given: asked.append(given)):  # fmt: skip
         sensitivity.doubts_of(fit, Stub(), Stub())
     assert len(asked) == freed
@@ -1075,7 +1075,7 @@ def test_what_lies_at_an_end_of_its_range_goes_back_beside_a_row_that_moves_noth
         moved = (Moved("m", 1.0, 2.0, 0.8 if asked is item else 3.0),)
         return row, Lean("m", 1.0, 2.0, 0.1, 0.2 + 0.2 * (asked is not item), moved, "")
 
-    with answers(sensitivity, _above_noise=1.0, _screened=([], ()), _promising=lambda *_: [item],
+    with answers(sensitivity, above_noise=1.0, _screened=([], ()), _promising=lambda *_: [item],
                  _confirmed=confirmed, _sentence="told"):  # fmt: skip
         found = sensitivity.doubts_of(asked, state, result)
         assert [lean.explains for lean in found.leans] == [0.4]
@@ -1341,7 +1341,7 @@ def test_doubts_are_of_the_gain_that_promises_most_and_of_what_fits_confirm():
         name = asked.row.parameters[0]
         return asked.row, Lean(name, 1.0, 2.0, 0.1, asked.explains, moved, "")
 
-    with answers(sensitivity, _above_noise=1.0, _promising=lambda *_: every,
+    with answers(sensitivity, above_noise=1.0, _promising=lambda *_: every,
                  _screened=lambda *given: counts.append(given[3]) or ([], ("unasked",)),
                  _release=Stub(std=0.1), _confirmed=confirmed, _sentence="told"):  # fmt: skip
         state: Any = Stub(ranges={})

@@ -151,7 +151,7 @@ def doubts(gain=0.0, shares=(), sure=None):
     every = [item("gain", 0.5, gain)] * bool(gain) + [item("mass", s, 1.0) for s in shares]
     for asked, certainty in zip(every, sure or (), strict=False):
         asked.row.certainty = certainty
-    with answers(sensitivity, _above_noise=1.0, _screened=([], ()), _promising=lambda *_: every,
+    with answers(sensitivity, above_noise=1.0, _screened=([], ()), _promising=lambda *_: every,
                  _release=lambda *_: Stub(std=1.0),
                  _confirmed=lambda *given: lean(given[2]), _sentence=""):  # fmt: skip
         result = sensitivity.doubts_of(fit, ANY, ANY)
@@ -244,7 +244,7 @@ def asked_rows(took):
         return [], ()
 
     item = Stub(row=Stub(kind="load", name="load of arm"), explains=0.5, delta=1.0, beyond=9.0)
-    with answers(sensitivity, _above_noise=1.0, _screened=screened, _promising=lambda *_: [item],
+    with answers(sensitivity, above_noise=1.0, _screened=screened, _promising=lambda *_: [item],
                  _confirmed=lambda *_: seen.append("freed")):  # fmt: skip
         sensitivity.doubts_of(fit, ANY, ANY)
     return seen
