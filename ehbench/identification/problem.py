@@ -22,7 +22,7 @@ from ehbench.identification.journal import Journal
 from ehbench.identification.search import Coordinate, of_sensors
 from ehbench.identification.simulator import Log, Meshes, Shifts, Simulator
 from ehbench.preprocessing.initial_states import prior_weight
-from ehbench.signals.series import lowpass, rms
+from ehbench.signals.series import lowpass, rms, white_noise
 from ehbench.vocabulary import Progress, setting
 
 
@@ -374,6 +374,21 @@ def scaled(
 def squares(problem: Problem, state: State) -> float:
     """Sum of the squared scaled residuals."""
     return sum(float(np.sum(r**2)) for r in scaled(problem, state))
+
+
+def above_noise(problem: Problem, state: State) -> float:
+    """Share of the squares that white noise of the readings does not make: all that a fixed number
+    can explain, however noisy the readings.
+    """
+    if problem.cutoff or any(log.band is not None for log in problem.logs):
+        return 1.0
+
+    def noise(log: Log) -> float:
+        apart = map(log.seen.apart, log.channels)
+        sizes = list(map(white_noise, log.recorded.T, apart)) / by_channel(state.scales, log)
+        return float(np.sum(sizes**2 * np.count_nonzero(log.counts, axis=0)))
+
+    return 1.0 - sum(map(noise, problem.logs)) / squares(problem, state)
 
 
 def cost(problem: Problem, state: State) -> float:

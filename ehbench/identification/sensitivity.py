@@ -19,6 +19,7 @@ from ehbench.identification.descent import solve
 from ehbench.identification.problem import (
     Problem,
     State,
+    above_noise,
     by_channel,
     cost,
     evaluate,
@@ -26,7 +27,6 @@ from ehbench.identification.problem import (
     prior_of,
     problem_of,
     scaled,
-    squares,
     start_jacobian,
 )
 from ehbench.identification.results import Doubts, Lean, Moved
@@ -35,7 +35,7 @@ from ehbench.identification.simulator import Effort, Log, Simulator
 from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.plant.ties import position_channel, tied_words
 from ehbench.preprocessing.sensors import VAGUE, Term
-from ehbench.signals.series import lowpass, white_noise
+from ehbench.signals.series import lowpass
 from ehbench.vocabulary import Z95, EhbenchError, Message, message, setting
 from ehbench.vocabulary.terms import BEYOND
 
@@ -55,7 +55,7 @@ class SensitivitySettings:
     worth: float = setting(
         0.05,
         "",
-        "share of the squares that another value must explain",
+        "share of the squares above the readings' noise that another value must explain",
         "less does not show in a fit percentage",
     )
     alike: float = setting(
@@ -106,12 +106,13 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
     took: the least sure numbers are asked first, each of the log that is followed worst, the most
     promising of all logs, and these are freed while the share lasts.
     """
-    if _only_noise(fit, state):
+    above = above_noise(fit, state)
+    if above < SETTINGS.worth:
         return Doubts()
     effort, took = Effort(), max(fit.simulator.effort.evaluations, SETTINGS.quick)
     limit = SETTINGS.effort * took
     screened, unasked = _screened(fit, state, effort, round(SETTINGS.first * limit))
-    suspects = _promising(fit, result, screened, effort)
+    suspects = _promising(fit, result, screened, effort, above)
     warnings = []
     for item in [item for item in suspects if item.row.kind == "gain"][:1]:
         std = _release(fit, result, item, 0.0).std
@@ -130,14 +131,14 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
         if effort.evaluations >= limit:
             unasked = (*unasked, item.row.name)
             continue
-        pair = _confirmed(fit, result, item, effort)
+        pair = _confirmed(fit, result, item, effort, above)
         within = pair is not None and pair[1].beyond <= BEYOND and effort.evaluations < limit
         if within and state.ranges:
             # a wrong model may have taken these to where no slope leads away: from their start
             freed = result.with_ranges()
             back = {i: fit.search[i].begin - state.theta[i] for i in state.ranges}
             follow = np.array([back.get(i, 0.0) for i in freed.state.live])
-            again = _confirmed(fit, freed, replace(item, follow=follow), effort)
+            again = _confirmed(fit, freed, replace(item, follow=follow), effort, above)
             pair = max(filter(None, (pair, again)), key=lambda pair: pair[1].explains)
         confirmed += [] if pair is None else [pair]
     explained = [item.explains for item in (*suspects, *(i for _, i in confirmed))]
@@ -156,22 +157,6 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
     )
     leans = tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
     return Doubts(tuple(warnings), leans, unasked)
-
-
-def _only_noise(fit: Problem, state: State) -> bool:
-    """Whether white noise of the readings makes so much of the residual that nothing else can
-    explain what is worth a report.
-    """
-    if fit.cutoff or any(log.band is not None for log in fit.logs):
-        return False
-
-    def noise(log: Log) -> float:
-        apart = map(log.seen.apart, log.channels)
-        sizes = list(map(white_noise, log.recorded.T, apart)) / by_channel(state.scales, log)
-        return float(np.sum(sizes**2 * np.count_nonzero(log.counts, axis=0)))
-
-    left = squares(fit, state)
-    return left - sum(map(noise, fit.logs)) < SETTINGS.worth * left
 
 
 def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
@@ -329,14 +314,14 @@ def _columns(
 
 
 def _promising(
-    fit: Problem, result: Errors, every: Sequence[_Suspect], effort: Effort
+    fit: Problem, result: Errors, every: Sequence[_Suspect], effort: Effort, above: float
 ) -> list[_Suspect]:
     """Those by which the logs would be followed better, to first order: the likeliest first, of
-    those that are as likely the less sure number first.
+    those that are as likely the less sure number first. ``above`` is the share above noise.
     """
     state = result.state
     live, total = list(state.live), cost(fit, state)
-    prior, minimum = prior_of(fit, state, live), SETTINGS.worth * total
+    prior, minimum = prior_of(fit, state, live), SETTINGS.worth * above * total
     gains: list[tuple[float, _Suspect]] = []
     for which in dict.fromkeys(item.logs for item in every):
         alike = [item for item in every if item.logs == which]
@@ -410,9 +395,9 @@ def _moved(fit: Problem, result: Errors, theta: np.ndarray) -> tuple[Moved, ...]
 
 
 def _confirmed(
-    fit: Problem, result: Errors, item: _Suspect, effort: Effort
+    fit: Problem, result: Errors, item: _Suspect, effort: Effort, above: float
 ) -> tuple[Hypothesis, Lean] | None:
-    """A row by a fit in which it is free; None where that has it otherwise."""
+    """A row by a fit in which it is free; None where that has it otherwise. ``above`` as above."""
     row, state = item.row, result.state
     try:
         freed, begin, new = _freed(fit, state, item, effort)
@@ -434,7 +419,8 @@ def _confirmed(
     here, unit = (number.here, number.unit) if number is not None else (known, row.readings[0][2])
     value = known + c.at(there.state.theta[at])
     std = (value if c.log else c.unit) * there.by_index[at].std
-    if abs(value - here) <= SETTINGS.surely * std or before - after < SETTINGS.worth * before:
+    worth = SETTINGS.worth * above * before
+    if abs(value - here) <= SETTINGS.surely * std or before - after < worth:
         return None
     live = [index[fit.search[i].name] for i in state.live]
     moved = _moved(fit, result, there.state.theta[live])

@@ -363,7 +363,9 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
         if channels != CHANNELS or words & {*required.fit_percent, *required.max_error}:
             warnings.append(message("validation.channel_missing", channel=channel))
     warnings += supply_off(record, simulated, model.rig)
-    keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
+    series, keep = {"t": record.t}, (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
+    for name, pair in whole.items():
+        series |= {name: pair.recorded, f"simulated.{name}": pair.simulated}
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
     results = [compare_channel(counted, model, name, pair) for name, pair in pairs.items()]
     warnings += [f"{item.channel}: {item.note}" for item in results if item.note]
@@ -372,8 +374,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
     coherence = required.response_coherence
     sweeps = [s for name in moved for s in sweeps_of(counted, model, name, pairs, coherence)]
     checks = checks_of(results, windows, sweeps, required, model.rig)
-    if moved and not checks:
-        warnings.append(message("validation.no_threshold"))
+    warnings += [message("validation.no_threshold")] if moved and not checks else []
     warnings += [*unjudged(rings, windows), *unrequested(results, required, model.rig, record)]
     return replace(
         facts,
@@ -383,7 +384,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
         sweeps=tuple(sweeps),
         checks=tuple(checks),
         warnings=tuple(warnings),
-        series=_series(record, whole),
+        series=series,
     )
 
 
@@ -438,10 +439,3 @@ def _followed(log: PreparedLog, moved: Sequence[str], required: Sequence[str]) -
     )
     channels = list(dict.fromkeys(names[0] for names in options if names))
     return follow_recording(log.model, record, moved, channels, log.terms)
-
-
-def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:
-    series = {"t": record.t}
-    for name, pair in pairs.items():
-        series |= {name: pair.recorded, f"simulated.{name}": pair.simulated}
-    return series

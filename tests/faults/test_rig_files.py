@@ -182,6 +182,15 @@ def test_a_number_beyond_ordinary_rigs_names_the_unit_that_fits(tmp_path, old, n
         assert fits in fields["fits"].split() and fields["value"] == new.strip('"')
 
 
+@pytest.mark.parametrize(("rod", "unusual"), [("0 mm", 0), ("2 mm", 1)])
+def test_a_cylinder_without_a_rod_is_ordinary(tmp_path, rod, unusual):
+    text = CRANE.replace("45 mm", rod).replace("2.5 L", "3.5 L")
+    (tmp_path / "rig.toml").write_text(text)
+    notes = inspection.check(tmp_path / "rig.toml").answer(tmp_path).notes
+    found = [n.fields["name"] for n in notes if isinstance(n, Message) and n.key == "app.unusual"]
+    assert found == ["lift.rod"] * unusual
+
+
 @pytest.mark.parametrize(("mass", "wide"), [("200 g", 1), ("14 kg", 0), ("12 kg", 1)])
 def test_an_inertia_that_spreads_a_mass_beyond_the_machine_is_noted(tmp_path, mass, wide):
     (tmp_path / "rig.toml").write_text(CRANE.replace("200 kg", mass))

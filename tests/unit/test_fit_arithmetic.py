@@ -49,6 +49,7 @@ from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _logs_of, _read_off, _terms
 from ehbench.identification.simulator import Effort, Log
 from ehbench.identification.uncertainty import _fitted
+from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO
 from ehbench.preprocessing import observations
 from ehbench.preprocessing.sensors import VAGUE
@@ -876,8 +877,10 @@ def suspect(name, gain, move, certainty=1, bounds=(-9.0, 9.0)):
     return sensitivity._Suspect(row, [np.ones((3, 1))], (0,))
 
 
-def test_rows_that_promise_are_the_likeliest_and_of_these_the_least_sure_first():
-    """Each goes to its best δ, within bounds, and the estimates with it by as much."""
+@pytest.mark.parametrize(("above", "more"), [(1.0, []), (0.9, ["little"])])
+def test_rows_that_promise_are_the_likeliest_and_of_these_the_least_sure_first(above, more):
+    """Each goes to its best δ, within bounds, and the estimates with it by as much; what it
+    explains counts beside the noise."""
     every = [
         suspect("sure", 50.0, 2.0, 5),
         suspect("guessed", 40.0, 9.0, 0, (-1.0, 3.0)),
@@ -896,9 +899,11 @@ def test_rows_that_promise_are_the_likeliest_and_of_these_the_least_sure_first()
     with answers(sensitivity, cost=100.0, prior_of=None, _with=lambda _, some: some, _logs_of=[0],
                  _columns={}, _release=release, gains_of=lambda some, _: [i.row.gain for i in some],
                  _moved=lambda _, __, theta: (Stub(theta=float(theta[0])),)):  # fmt: skip
-        found = sensitivity._promising(fit, result, every, Stub())
-        assert sensitivity._promising(fit, result, [], Stub()) == []
+        found = sensitivity._promising(fit, result, every, Stub(), above)
+        assert sensitivity._promising(fit, result, [], Stub(), above) == []
+    found, least = found[:4], found[4:]
     assert [item.row.name for item in found] == ["guessed", "low", "sure", "less"]
+    assert [item.row.name for item in least] == more
     assert [item.delta for item in found] == [3.0, -1.0, 2.0, 1.0]
     assert [item.explains for item in found] == pytest.approx([0.4, 0.3, 0.5, 0.2])
     shares = [3.0 / 9.0, 1.0 / 4.0, 1.0, 1.0]
@@ -921,8 +926,9 @@ def test_white_noise_alone_is_asked_of_no_fixed_number(extra, noise):
     for log in asked.logs:
         # pyrefly: ignore[read-only]
         log.recorded = log.recorded + 0.0
-    assert sensitivity._only_noise(asked, weighed(asked, state)) == noise
-    assert not sensitivity._only_noise(replace(asked, cutoff=9.0), weighed(asked, state))
+    above = sensitivity.above_noise(asked, weighed(asked, state))
+    assert (above < sensitivity.SETTINGS.worth) == noise
+    assert sensitivity.above_noise(replace(asked, cutoff=9.0), weighed(asked, state)) == 1.0
 
 
 def test_rows_that_a_fit_does_not_ask_are_those_it_fits_or_that_no_slope_tells():
@@ -975,19 +981,21 @@ def test_a_number_that_moves_an_estimate_by_half_of_its_interval_is_freed(beyond
     item = Stub(row=Stub(kind="mass"), beyond=beyond * BEYOND, explains=0.5)
     fit: Any = Stub(simulator=Stub(effort=Stub(evaluations=100)))
     asked = []
-    with answers(sensitivity, _only_noise=False, _screened=([], ()), _promising=lambda *_: [item],
+    with answers(sensitivity, above_noise=1.0, _screened=([], ()), _promising=lambda *_: [item],
                  _confirmed=lambda *given: asked.append(given)):  # fmt: skip
         sensitivity.doubts_of(fit, Stub(), Stub())
     assert len(asked) == freed
 
 
 @pytest.mark.parametrize(
-    ("there", "after", "confirmed"), [(2.5, 80.0, True), (2.3, 80.0, False), (2.5, 96.0, False)]
+    ("there", "after", "above", "confirmed"),
+    [(2.5, 80.0, 1.0, True), (2.3, 80.0, 1.0, False), (2.5, 96.0, 1.0, False)]
+    + [(2.5, 96.0, 0.7, True), (2.3, 96.0, 0.7, False)],
 )
 @pytest.mark.parametrize("number", [True, False])
-def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, number):
-    """Four errors of 0.1 from where it is held, and a twentieth of the cost less; its remedy is of
-    the rig as that fit found it, without what a sensor adds."""
+def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, above, confirmed, number):
+    """Four errors of 0.1 from where it is held, and a twentieth of the cost above noise less; its
+    remedy is of the rig as that fit found it, without what a sensor adds."""
     held = Stub(name="b", unit=0.5, here=2.0)
     still = Stub(name="a", unit=0.0, here=9.0)
     row: Any = Stub(numbers=(still, held) if number else (), remedy=lambda *given: given)
@@ -1008,12 +1016,12 @@ def test_a_row_is_confirmed_by_a_fit_that_frees_it(there, after, confirmed, numb
     with answers(sensitivity, _freed=(freed, None, [1]), solve=(None, True),
                  evaluate=None, errors_of=errors, _moved=("moved",),
                  cost=lambda _, state: after if state is end else 100.0):  # fmt: skip
-        found = sensitivity._confirmed(fit, result, item, Stub())
+        found = sensitivity._confirmed(fit, result, item, Stub(), above)
     assert (found is not None) == confirmed
     if found:
         lean = found[1]
         assert (lean.name, lean.here, lean.there) == ("b", 2.0 if number else 0.0, value)
-        assert (lean.std, lean.explains) == pytest.approx((0.1, 0.2))
+        assert (lean.std, lean.explains) == pytest.approx((0.1, 1.0 - after / 100.0))
         assert lean.remedy == ({"a": 1.0}, pytest.approx((there - 2.0) / 0.5))
 
 
@@ -1044,7 +1052,7 @@ def test_a_row_is_freed_from_its_own_step_alone_where_slopes_lead_astray(far, al
     with answers(sensitivity, _freed=freed, solve=solved, evaluate=lambda _, state: state,
                  errors_of=lambda _, state: Stub(state=state, by_index=errors), _moved=(),
                  cost=lambda _, state: getattr(state, "cost", 100.0)):  # fmt: skip
-        sensitivity._confirmed(fit, result, item, Stub())
+        sensitivity._confirmed(fit, result, item, Stub(), 1.0)
     assert [list(begin.theta) for begin in ended] == [[5.0 * chosen, 7.0, 1.0]]
 
 
@@ -1063,12 +1071,12 @@ def test_what_lies_at_an_end_of_its_range_goes_back_beside_a_row_that_moves_noth
                                 (Moved("m", 1.0, 2.0, 0.8),))  # fmt: skip
     seen = []
 
-    def confirmed(_, errors, asked, effort):
+    def confirmed(_, errors, asked, *_rest):
         seen.append((errors, asked))
         moved = (Moved("m", 1.0, 2.0, 0.8 if asked is item else 3.0),)
         return row, Lean("m", 1.0, 2.0, 0.1, 0.2 + 0.2 * (asked is not item), moved, "")
 
-    with answers(sensitivity, _only_noise=False, _screened=([], ()), _promising=lambda *_: [item],
+    with answers(sensitivity, above_noise=1.0, _screened=([], ()), _promising=lambda *_: [item],
                  _confirmed=confirmed, _sentence="told"):  # fmt: skip
         found = sensitivity.doubts_of(asked, state, result)
         assert [lean.explains for lean in found.leans] == [0.4]
@@ -1329,12 +1337,12 @@ def test_doubts_are_of_the_gain_that_promises_most_and_of_what_fits_confirm():
     fit: Any = Stub(simulator=Stub(effort=Stub(evaluations=1000), rig=None))
     counts = []
 
-    def confirmed(_, __, asked, effort):
+    def confirmed(_, __, asked, *_rest):
         moved = (Moved("m", 1.0, 2.0, asked.beyond), Moved("n", 1.0, 2.0, 0.1))
         name = asked.row.parameters[0]
         return asked.row, Lean(name, 1.0, 2.0, 0.1, asked.explains, moved, "")
 
-    with answers(sensitivity, _only_noise=False, _promising=lambda *_: every,
+    with answers(sensitivity, above_noise=1.0, _promising=lambda *_: every,
                  _screened=lambda *given: counts.append(given[3]) or ([], ("unasked",)),
                  _release=Stub(std=0.1), _confirmed=confirmed, _sentence="told"):  # fmt: skip
         state: Any = Stub(ranges={})
@@ -1487,7 +1495,7 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
          "press.servo.command": command},
     )  # fmt: skip
     ahead = round(observations.SETTINGS.emptying / tick)
-    counts, (note,) = simulator._counts("log", SLIDE, record, channels)
+    counts, (note,) = simulator._counts("log", Model.of(SLIDE), record, channels)
     void = np.zeros(600, bool)
     void[100 - ahead : 300 + ahead] = True
     for column in counts.T:
@@ -1495,13 +1503,15 @@ def test_samples_of_an_empty_chamber_count_no_more_until_a_command_changes():
     assert note.fields["t"] == pytest.approx((100 - ahead) * tick)
     assert note.fields["share"] == pytest.approx(100.0 * void.mean())
     empty[0] = 1.1 * limit
-    counts, _ = simulator._counts("log", SLIDE, record, channels)
+    counts, _ = simulator._counts("log", Model.of(SLIDE), record, channels)
     np.testing.assert_array_equal(counts[:, 0], np.arange(600) >= 300 + ahead)
     empty[300 + ahead - 1] = 1.1 * limit  # while samples before it do not count either
-    counts, _ = simulator._counts("log", SLIDE, record, channels)
+    counts, _ = simulator._counts("log", Model.of(SLIDE), record, channels)
     assert not counts.any(), "no command follows"
+    with refused("identification.none_counts", InsufficientData):
+        simulator.prepare(Model.of(SLIDE), record, "log", ["p_head"], (), 1, None)
     full = record.channels | {"press.p_head": np.full(600, 0.9 * limit)}
-    counts, notes = simulator._counts("log", SLIDE, Record(record.t, full), channels)
+    counts, notes = simulator._counts("log", Model.of(SLIDE), Record(record.t, full), channels)
     assert counts.all() and not notes
 
 
@@ -1509,7 +1519,7 @@ def test_samples_of_a_pressure_at_the_end_of_its_sensor_do_not_count():
     """A stroke may stand at its end."""
     y = np.minimum(np.sin(0.02 * np.arange(900)), 0.8)
     record = Record(np.arange(900) * TICK, {"press.p_head": 1e6 * (2.0 + y), "press.x": 2.0 + y})
-    counts, notes = simulator._counts("log", SLIDE, record, ["press.x", "press.p_head"])
+    counts, notes = simulator._counts("log", Model.of(SLIDE), record, ["press.x", "press.p_head"])
     assert counts[:, 0].all() and not notes
     assert np.flatnonzero(~counts[:, 1]).tolist() == np.flatnonzero(y == 0.8).tolist()
 

@@ -474,7 +474,22 @@ def test_what_is_scored_of_a_log_has_both_its_ends(scored, samples):
     record = Record(np.arange(9) * TICK, {"press.x": np.arange(9.0)})
     log = judge.JudgedLog(PreparedLog("log", record, MODEL), scored=scored)
     assert log.counted["press.x"].tolist() == list(samples)
-    keep = cases.Case.keep.func(Stub(record=record, scored=scored, model=MODEL, cylinders=()))
+    keep = cases.Case.keep.func(
+        Stub(record=record, scored=scored, model=MODEL, cylinders=["press"])
+    )
+    assert np.flatnonzero(keep).tolist() == list(samples)
+
+
+@pytest.mark.parametrize(
+    ("scored", "samples"), [(None, range(150)), ((0.16, 0.3), range(160, 301))]
+)
+def test_no_cause_is_sought_where_a_chamber_empties(scored, samples):
+    """From 50 ms before, as in a fit; a log of nothing else is asked all the same."""
+    pressure = np.where(np.arange(400) < 200, 1e6, -1e5)
+    record = Record(np.arange(400) * TICK, {"press.p_head": pressure})
+    keep = cases.Case.keep.func(
+        Stub(record=record, scored=scored, model=MODEL, cylinders=["press"])
+    )
     assert np.flatnonzero(keep).tolist() == list(samples)
 
 

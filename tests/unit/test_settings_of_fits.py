@@ -151,9 +151,9 @@ def doubts(gain=0.0, shares=(), sure=None):
     every = [item("gain", 0.5, gain)] * bool(gain) + [item("mass", s, 1.0) for s in shares]
     for asked, certainty in zip(every, sure or (), strict=False):
         asked.row.certainty = certainty
-    with answers(sensitivity, _only_noise=False, _screened=([], ()), _promising=lambda *_: every,
+    with answers(sensitivity, above_noise=1.0, _screened=([], ()), _promising=lambda *_: every,
                  _release=lambda *_: Stub(std=1.0),
-                 _confirmed=lambda _, __, asked, ___: lean(asked), _sentence=""):  # fmt: skip
+                 _confirmed=lambda *given: lean(given[2]), _sentence=""):  # fmt: skip
         result = sensitivity.doubts_of(fit, ANY, ANY)
     if sure is not None:
         return [lean.explains for lean in result.leans]
@@ -177,7 +177,7 @@ def looked_at(count, gain=1.0):
     with answers(sensitivity, cost=1.0, prior_of=None, _with=None, gains_of=[gain] * count,
                  _logs_of=[0], _columns={}, _moved=(),
                  _release=Stub(move=1.0, gain=gain, follow=np.zeros(0))):  # fmt: skip
-        return len(sensitivity._promising(fit, result, every, ANY))
+        return len(sensitivity._promising(fit, result, every, ANY, 1.0))
 
 
 def void():
@@ -186,7 +186,14 @@ def void():
     p[500] = -2e5
     y = {"press.p_head": p, "press.servo.command": np.where(np.arange(1000) < 501, 0.0, 5.0)}
     log = Record(np.arange(1000) * 1e-3, y)
-    return int(np.sum(~simulator._counts("log", SLIDE, log, ("press.p_head",))[0]))
+    return int(np.sum(~simulator._counts("log", Model.of(SLIDE), log, ("press.p_head",))[0]))
+
+
+def at_end():
+    """Samples near an end of the stroke of 400 mm, of one each tenth of a millimetre."""
+    log = Record(np.arange(4001.0), {"press.x": np.linspace(0.0, 0.4, 4001)})
+    ((_, there),) = observations.at_ends(Model.of(SLIDE), log)
+    return int(np.sum(there))
 
 
 def late(errors, ticks=100.0):
@@ -244,7 +251,7 @@ def asked_rows(took):
         return [], ()
 
     item = Stub(row=Stub(kind="load", name="load of arm"), explains=0.5, delta=1.0, beyond=9.0)
-    with answers(sensitivity, _only_noise=False, _screened=screened, _promising=lambda *_: [item],
+    with answers(sensitivity, above_noise=1.0, _screened=screened, _promising=lambda *_: [item],
                  _confirmed=lambda *_: seen.append("freed")):  # fmt: skip
         sensitivity.doubts_of(fit, ANY, ANY)
     return seen
@@ -452,6 +459,7 @@ ROWS = [
     (sensitivity.SETTINGS, "alike", lambda s: doubts(shares=(0.6, s))[1], (0.28, 0.32), [1, 2]),
     (sensitivity.SETTINGS, "looked", lambda: looked_at(20), 8),
     (observations.SETTINGS, "emptying", void, 101),
+    (observations.SETTINGS, "near", at_end, 80),
     (frequency_domain.SETTINGS, "surely", late, (3.8, 4.2), [0, 1]),
     (frequency_domain.SETTINGS, "late", lambda s: late(9.0, s), (0.23, 0.27), [0, 1]),
     (response.SETTINGS, "curved", bent, (1.9, 2.1), [0, 1]),
