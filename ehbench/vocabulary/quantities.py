@@ -50,7 +50,7 @@ class Quantity:
         return (self.lower <= values) & (values <= self.upper)
 
     def ordinary(self, value: float) -> bool:
-        """Whether an ordinary rig has a value [SI]; 0 of what is never less says that it has none."""
+        """Whether an ordinary rig has a value [SI]; 0 of what is never less says it has none."""
         return value == self.lower == 0.0 or self.usual[0] <= value <= self.usual[1]
 
 
